@@ -53,6 +53,8 @@ Share = Annotated[float, Between(0, 1)]
 Seconds = Annotated[float, Between(0, 1_000_000)]
 Frequency = Annotated[float, Between(0.01, 10)]
 Range = tuple[NotNegative, NotNegative]  # low, high
+UpToTen = Annotated[float, Between(0, 10)]
+Rise = tuple[UpToTen, UpToTen]  # low, high
 Command = tuple[Signed, Signed]  # low, high
 Layers = tuple[Few, ...]
 PerJoint = float | dict[str, float] | tuple[float, ...]
@@ -301,15 +303,15 @@ class Tiles(NamedTuple):
     height_step: Annotated[float, Between(1e-4, 0.1)] = 0.005  # m, heights are multiples of this
     # columns of each kind: pyramid_stairs, pit_stairs, boxes, random, pyramid_slope, pit_slope
     shares: tuple[Share, Share, Share, Share, Share, Share] = (0.2, 0.2, 0.2, 0.2, 0.1, 0.1)
-    stairs: Range = (0.05, 0.23)  # m, height of a step in the easiest and in the hardest row
-    tread: Positive = 0.3  # m
+    stairs: Rise = (0.05, 0.23)  # m, height of a step in the easiest and in the hardest row
+    tread: Annotated[float, Between(0.01, 100)] = 0.3  # m
     stairs_platform: NotNegative = 3.0  # m, in the middle
     stairs_border: NotNegative = 1.0  # m, before the first step
-    boxes: Range = (0.05, 0.20)  # m, up and down
-    box_width: Positive = 0.45  # m
-    random: Range = (0.02, 0.10)  # m, lowest and highest point, in every row
-    random_step: Positive = 0.02  # m, between two heights
-    slope: Range = (0.0, 0.4)  # rise over run
+    boxes: Rise = (0.05, 0.20)  # m, up and down
+    box_width: Annotated[float, Between(0.01, 100)] = 0.45  # m
+    random: Rise = (0.02, 0.10)  # m, lowest and highest point, in every row
+    random_step: Annotated[float, Between(1e-4, 10)] = 0.02  # m, between two heights
+    slope: Rise = (0.0, 0.4)  # rise over run
     platform: NotNegative = 2.0  # m, in the middle of boxes and slopes
     margin: NotNegative = 0.25  # m, flat, around boxes, random ground and slopes
 

@@ -1066,7 +1066,7 @@ def test_the_pages_of_the_bundled_policies_and_of_a_still_robot_have_the_numbers
 
 
 def test_the_bundled_policies_for_hardware_are_the_best_rows_of_their_file():
-    """choose.txt has seeds of the highest returns; deploy.json names the one that falls least, then tracks best."""
+    """choose.txt has seeds of the highest returns; deploy.json names the best of them."""
     choose = script("22_deploy/choose")
     rows, ends = {}, {}
     for line in (EXPERIMENTS / "22_deploy/choose.txt").read_text().splitlines():

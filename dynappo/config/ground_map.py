@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 
-from dynappo.config.fields import ConfigError
+from dynappo.config.fields import ConfigError, check
 from dynappo.terrain import map_file
 from dynappo.terrain.height_map import HeightMap
 
@@ -20,6 +20,8 @@ def settle(config, again: bool) -> None:
         return
     if tiles.map_hash and not again:
         return
+    for name in ("map_level", "cell", "size"):
+        check(f"task.tiles.{name}", tiles[name])
     tiles.map = os.path.abspath(tiles.map)
     try:
         tiles.map_hash = map_file.digest(tiles.map)

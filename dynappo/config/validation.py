@@ -168,11 +168,9 @@ def check_tiles(tiles) -> None:
     count = tiles.rows * tiles.columns * round(tiles.size / tiles.cell) ** 2
     text = "at most 100 million cells: task.tiles.rows x columns x (size / cell)^2"
     expect(count <= 10**8, "task.tiles.cell", tiles.cell, text)
-    for name, room in (
-        ("stairs_platform", tiles.size - 2 * tiles.stairs_border),
-        ("platform", tiles.size - 2 * tiles.margin),
-    ):
-        text = f"at most {room:g}: a tile has {tiles.size:g} m with its border"
+    for name, edge in (("stairs_platform", "stairs_border"), ("platform", "margin")):
+        room = tiles.size - 2 * tiles[edge]
+        text = f"at most {room:g}, which is task.tiles.size less twice task.tiles.{edge} = {tiles[edge]:g}"
         expect(tiles[name] <= room, f"task.tiles.{name}", tiles[name], text)
 
 

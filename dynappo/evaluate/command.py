@@ -201,13 +201,19 @@ def open_folder(out: Path) -> None:
 
 def rough_note(policy: Policy, flags) -> str:
     """A line on what the numbers of a policy of rough ground are of; else ""."""
-    if policy.config.get("task", {}).get("terrain") != "rough" or flags.crossing:
+    if policy.config.get("task", {}).get("terrain") != "rough" or flags.crossing or flags.record:
         return ""
-    return (
-        "note: trained on rough ground; commands and their changes are on a flat floor, and an episode of "
-        "the task ends where the robot leaves its tile, so its return is smaller than on a floor; --crossing "
-        "tells which tiles it crosses"
-    )
+    told = "note: trained on rough ground; "
+    if flags.stress:
+        stairs = "" if flags.robot_xml else ", and flights of stairs follow"
+        return f"{told}disturbances are on a flat floor{stairs}"
+    told += "commands and their changes are on a flat floor, "
+    if not flags.fast:
+        told += (
+            "and an episode of the task ends where the robot leaves its tile, so its return is smaller than "
+            "on a floor; "
+        )
+    return f"{told}--crossing tells which tiles it crosses"
 
 
 def replaced(out: Path, named: str) -> str:
@@ -232,8 +238,8 @@ def inputs(flags) -> tuple[Policy, Player, Robot | None, Path, tuple[str, str]]:
         episodes.settings(policy)
         robot, _ = policy_source.robot(policy, flags.robot_xml)
         episodes.check_robot(policy, robot)
-        more = note, episodes.left_out(policy), rough_note(policy, flags)
-        note = "\n".join(filter(None, more))
+        note = "\n".join(filter(None, (note, episodes.left_out(policy))))
+    note = "\n".join(filter(None, (note, rough_note(policy, flags))))
     return policy, player, robot, path, (named, note)
 
 

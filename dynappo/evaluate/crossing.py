@@ -73,6 +73,7 @@ def prepared(
             "speed": SPEED,
             "seed": seed,
             "tiles_seed": config.task.tiles.seed,
+            "stairs": tuple(config.task.tiles.stairs),
             "device": jax.devices()[0].device_kind,
             "impl": impl,
         } | counted(config.task.tiles, found)

@@ -32,7 +32,12 @@ from dynappo.terrain.height_map import HeightMap
 COUNT, FIRST = 6, 1.0  # steps; m, from the start to the first
 LANDING, WIDE, OVER = 4.0, 3.0, 0.5  # m: its length, half of the width, how far onto it is climbed
 SECONDS, SPEEDS, STARTS = 15.0, (0.5, 0.8), (0.0, -0.1, -0.2)  # s; m/s; m
-HEIGHTS = 0.0, 0.25, 0.5, 0.75  # shares of the range
+HEIGHTS = (
+    0.0,
+    0.25,
+    0.5,
+    0.75,
+)  # shares of the range, whose lower end is 0 for bipeds: those are no steps
 TABLE = (
     Stress("none"),
     Stress("actions 20 ms late", action_delay=0.02),
@@ -85,9 +90,12 @@ def run(
     policy: Policy, tell: Callable[[int, int], None] = lambda done, total: None
 ) -> list[dict[str, Any]]:
     """The rows: `stress`, `heights` (m) and, for each, how many of `tries` were `climbed`, `falls`, and
-    `bumped`."""
+    `bumped`. None where the policy's tiles have no steps."""
     low, high = policy_source.tiles(policy).stairs
-    heights = [round(low + (high - low) * share, 3) for share in HEIGHTS]
+    each = [round(low + (high - low) * share, 3) for share in HEIGHTS]
+    heights = [height for height in dict.fromkeys(each) if height > 0]
+    if not heights:
+        return []
     players, out = [player(policy, height) for height in heights], []
     for case in TABLE:
         if case.scan_shift != (0.0, 0.0, 0.0) and policy.scan == "none":

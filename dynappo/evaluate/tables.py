@@ -87,10 +87,12 @@ def stress(screen, rows: list[dict[str, Any]]) -> None:
 
 def stairs(screen, rows: list[dict[str, Any]]) -> None:
     """Print how many flights of stairs were climbed: a line a disturbance, a column a height."""
+    if not rows:
+        return
     heights = [f"{height:g} m" for height in rows[0]["heights"]]
     screen.print(
-        f"stairs of boxes, up, {rows[0]['tries']} tries of each height in C MuJoCo: climbed, falls, "
-        "and those in which a shank or thigh touched a step",
+        f"stairs of boxes, up, {rows[0]['tries']} tries of each height of a step in C MuJoCo: climbed, "
+        "falls, and those in which a shank or thigh touched a step",
         soft_wrap=True,
     )
     cells = [
@@ -195,13 +197,18 @@ def changes_lines(numbers: dict[str, Any]) -> list[str]:
 
 def crossing(screen, numbers: dict[str, Any]) -> None:
     """Print how many tiles of each kind and row were crossed."""
-    where = "its own map" if "map" in numbers["kinds"] else "tiles that training has not seen"
+    own = "map" in numbers["kinds"]
+    where = "its own map" if own else "tiles that training has not seen"
     screen.print(
         f"{numbers['tries']} tries of {numbers['seconds']:g} s, told {numbers['speed']:g} m/s, on {where}; "
         f"{devices.ENGINES[numbers['impl']]} on {numbers['device']}",
         soft_wrap=True,
     )
     _table(screen, crossing_rows(numbers))
+    if not own:
+        low, high = numbers["stairs"]
+        steps = f"stairs of {low:g} to {high:g} m a step"
+        screen.print(f"rows from the easiest to the hardest, {steps}; -: no try", soft_wrap=True)
 
 
 def crossing_rows(numbers: dict[str, Any]) -> list[list[str]]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+from pathlib import Path
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from dynappo.physics.warp import scope
 from dynappo.policy import episode as episode_lib
 from dynappo.policy import policy_file
 from dynappo.tasks.velocity import partners
+from dynappo.terrain import map_file
 
 SINKS = 0.25  # of its height: more is no sag
 RESTS = 0.02  # m in the last second: more is not at rest
@@ -80,7 +82,21 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
             f"--ground={flags.ground}: task.terrain is 'flat' in {flags.what}, expected 'rough'; set "
             "--config.task.terrain=rough --config.task.carry_on=False"
         )
+    if flags.ground is not None and _is_a_map(flags.ground):
+        raise ConfigError(
+            f"--ground={flags.ground}: it could be a map of yours, and look would write over it; name "
+            f"another file; to see that map: --config.task.tiles.map={flags.ground}"
+        )
     return flags
+
+
+def _is_a_map(path: Path) -> bool:
+    """Whether the file could be a ground of one's own: what look writes has colours."""
+    try:
+        map_file.load(str(path), level=1e-3, cell=1.0)
+    except map_file.BadMap:
+        return False
+    return True
 
 
 def about(robot: robot_lib.Robot, config, pd: facts.PD) -> list[tuple[str, str]]:
@@ -325,11 +341,11 @@ def run(flags) -> None:
         )
     if flags.ground is not None:
         tiles = config.task.tiles
-        problem = ground.write(tiles, of_tiles(tiles), flags.ground)
+        made = of_tiles(tiles)
+        problem = ground.write(tiles, made, flags.ground)
         if problem:
             raise ConfigError(f"--ground={flags.ground}: {problem}")
-        size = f"{tiles.rows} x {tiles.columns} tiles of {tiles.size:g} m"
-        show([("ground", f"{flags.ground}: {size}, from above")])
+        show([("ground", f"{flags.ground}: {ground.words(tiles, made)}, from above")])
 
 
 def show(rows: list[tuple[str, str]]) -> None:

@@ -30,6 +30,20 @@ def write(tiles: Any, ground: HeightMap, out: Path) -> str:
     return ""
 
 
+def words(tiles: Any, ground: HeightMap) -> str:
+    """How large the ground is; of a map of one's own, how high and how steep, too."""
+    size = f"{tiles.rows} x {tiles.columns} tiles of {tiles.size:g} m"
+    if not tiles.map:
+        return size
+    heights = ground.heights
+    x, y = (ground.cell * (count - 1) for count in heights.shape)
+    steepest = max(float(np.abs(np.diff(heights, axis=axis)).max()) for axis in (0, 1))
+    return (
+        f"{x:g} x {y:g} m, {heights.min():.3g} to {heights.max():.3g} m high, two points at most "
+        f"{steepest:.3g} m apart in height, {size}"
+    )
+
+
 def draw(tiles: Any, ground: HeightMap):
     """The picture as a matplotlib Figure: the columns side by side, the hardest row on top."""
     from matplotlib.colors import LightSource

@@ -154,10 +154,14 @@ def load(
 
 
 def compiled(
-    xml: Path, text: str = "", field: HeightMap | None = None, boxes: tuple[Box, ...] = ()
+    xml: Path,
+    text: str = "",
+    field: HeightMap | None = None,
+    boxes: tuple[Box, ...] = (),
+    drawn: bool = False,
 ) -> mujoco.MjModel:
     """The model of a file, or of the MJCF `text` in it, on a ground in the place of its geom `floor`; or on
-    that floor, with boxes on it."""
+    that floor, with boxes on it. `drawn`: for pictures alone, on a ground that nothing touches."""
     if field is None and not boxes:
         return mjcf.model(xml, text)
     with mjcf.one_line(xml):
@@ -180,8 +184,8 @@ def compiled(
                 condim=floor.condim,
                 priority=floor.priority,
             )
-        if not boxes:
-            ground.put(spec, field)
+        if field is not None and not boxes:
+            (ground.draw if drawn else ground.put)(spec, field)
             floor.material, floor.rgba = (
                 "",
                 PLAIN,

@@ -260,7 +260,7 @@ def frames(
     model = (
         mujoco.MjModel.from_binary_path(xml)
         if binary
-        else episode_lib.compiled(Path(xml), text, field)
+        else episode_lib.compiled(Path(xml), text, field, drawn=True)
     )
     data = mujoco.MjData(model)
     window = model.vis.global_

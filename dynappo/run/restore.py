@@ -20,7 +20,7 @@ from dynappo.run import workdir as workdir_lib
 
 # fields without which a policy's observations and actions mean something else, though their numbers fit
 MEANING = (
-    "robot env task.observation task.history task.action_scale task.kp task.kd task.actuator "
+    "robot env task.action_scale task.kp task.kd task.actuator "
     "task.gait_frequency physics.timestep physics.substeps ppo.critic ppo.scale_inputs"
 ).split()
 
@@ -113,12 +113,15 @@ def _read(source: Path, say) -> tuple[dict[str, np.ndarray], str]:
 
 
 def check(source: Path, config) -> None:
-    """ConfigError if the config in `source` has other network sizes than `config`.
+    """ConfigError if the config in `source` has other network sizes than `config`, or another observation.
 
     To be called before anything is compiled, written or moved; `weights` checks the arrays themselves.
     """
     here, (there, robot) = config_lib.flat(config), about(source)
     names = ["ppo.hidden", "ppo.activation"]
+    if config.robot:  # each of these makes an observation longer or shorter
+        names = ["task.scan", "task.observation", "task.history", *names]
+        there = {"task.scan": "none"} | there  # older runs have no such field
     if source.is_file() and config.ppo.normalize:
         raise ConfigError(
             f"--restore={source}: in a policy.npz the scaling of ppo.normalize is part of the weights; name "

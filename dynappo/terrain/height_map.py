@@ -4,7 +4,8 @@ A cell is split along the diagonal from its corner (i, j) to (i + 1, j + 1), as 
 height field (mjc_ConvexHField: strips of triangles (r + 1, c), (r, c), (r + 1, c + 1), ...). Outside the map
 the height is that of its nearest edge; MuJoCo has no ground there.
 
-All functions but `needed` are for NumPy and JAX alike, `map_array` [X, Y] being a map's `heights`.
+All functions but `needed` and `triangles` are for NumPy and JAX alike, `map_array` [X, Y] being a map's
+`heights`.
 """
 
 from __future__ import annotations
@@ -29,6 +30,23 @@ def needed(rows: np.ndarray) -> np.ndarray:
     the others the surface is the same."""
     changes = (np.diff(rows, axis=0) != 0).any(1)
     return np.flatnonzero(np.append(True, changes) | np.append(changes, True))
+
+
+def triangles(field: HeightMap) -> tuple[np.ndarray, np.ndarray]:
+    """`(points [P, 3] in m, faces [F, 3])`, counterclockwise from above: the map's own surface, exactly.
+
+    A row or column of heights that are those on both of its sides is left out.
+    """
+    rows = needed(field.heights)
+    columns = needed(field.heights[rows].T)
+    x, y = (c + field.cell * i for c, i in zip(field.corner, (rows, columns), strict=True))
+    points = np.empty((len(rows), len(columns), 3), np.float32)
+    points[..., 0], points[..., 1] = x[:, None], y
+    points[..., 2] = field.heights[np.ix_(rows, columns)]
+    number = np.arange(len(rows) * len(columns), dtype=np.uint32).reshape(len(rows), -1)
+    a, b, c, d = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
+    faces = np.stack([a, b, c, a, c, d], -1)  # of a cell the diagonal from (i, j)
+    return points.reshape(-1, 3), faces.reshape(-1, 3)
 
 
 def height(map_array, cell: float, corner: tuple[float, float], x, y):

@@ -29,7 +29,11 @@ def load(path: str, level: float, cell: float, digest: str = "") -> HeightMap:
     file = Path(path)
     if digest and not file.is_file():
         file = Path(file.name)
-    data = _read(file if file.is_file() else Path(path))
+    try:
+        data = _read(file if file.is_file() else Path(path))
+    except BadMap as error:
+        here = f", nor is there a {file.name} here: expected the map that the run began with"
+        raise BadMap(f"{error}{here}" if digest else str(error)) from None
     if digest and hashed(data) != digest:
         raise BadMap(
             f"{file} is another file ({hashed(data)}), expected the one that the run began with ({digest})"
@@ -40,9 +44,18 @@ def load(path: str, level: float, cell: float, digest: str = "") -> HeightMap:
         raise BadMap(
             f"{file}: an array of {shape}, expected two axes of at least 2 points, 100 million together"
         )
-    if not (abs(heights) <= HIGHEST).all():  # False for what is no number
+    expected = f"expected m from {-HIGHEST:g} to {HIGHEST:g}"
+    wrong = ~np.isfinite(heights)
+    if wrong.any():
+        first = ", ".join(map(str, np.argwhere(wrong)[0]))
         raise BadMap(
-            f"{file}: heights beyond {HIGHEST:g} m or that are no numbers, expected m from -100 to 100"
+            f"{file}: {wrong.sum()} of {wrong.size} heights are no numbers, first that at [{first}], "
+            f"{expected}"
+        )
+    if abs(heights).max() > HIGHEST:
+        grey = f"; a level of its grey is {level:g} m" * (file.suffix.lower() == ".png")
+        raise BadMap(
+            f"{file}: heights from {heights.min():g} to {heights.max():g} m, {expected}{grey}"
         )
     corner = [-cell * (count - 1) / 2 for count in shape]
     return HeightMap(heights.astype(np.float32), float(cell), (corner[0], corner[1]))
@@ -85,11 +98,16 @@ def _heights(file: Path, data: bytes, level: float) -> np.ndarray:
         picture = Image.open(io.BytesIO(data))
         if picture.mode.startswith("I"):  # 16 bits
             return level * np.asarray(picture, float)
-        red, green, blue = np.moveaxis(np.asarray(picture.convert("RGB")), -1, 0)
+        red, green, blue, alpha = np.moveaxis(np.asarray(picture.convert("RGBA")), -1, 0)
     except (UnidentifiedImageError, OSError, SyntaxError, ValueError, Image.DecompressionBombError):
         raise BadMap(f"{file}: expected a picture in the format PNG") from None
     if (red != green).any() or (red != blue).any():
         raise BadMap(
             f"{file}: a picture with colours, expected levels of grey; what look --ground writes is no map"
+        )
+    if (alpha < 255).any():
+        raise BadMap(
+            f"{file}: {(alpha < 255).sum()} of {alpha.size} points are transparent, expected a height at "
+            "each; save it without an alpha channel"
         )
     return level * red.astype(float)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from dynappo.terrain import height_map
-from dynappo.terrain.height_map import HeightMap
+from dynappo.terrain.height_map import HeightMap, triangles
 
 REACH = 20.0  # m from the middle: no more of a large map is simulated and drawn
 WALL = 0.6  # rise over run of what is called a wall: more than a slope has, also across its folds
@@ -21,23 +21,6 @@ def near(field: HeightMap) -> HeightMap:
     heights = field.heights[first[0] : last[0] + 1, first[1] : last[1] + 1]
     x, y = (c + field.cell * i for c, i in zip(field.corner, first, strict=True))
     return HeightMap(np.ascontiguousarray(heights), field.cell, (x, y))
-
-
-def triangles(field: HeightMap) -> tuple[np.ndarray, np.ndarray]:
-    """`(points [P, 3] in m, faces [F, 3])`, counterclockwise from above: the map's own surface, exactly.
-
-    A row or column of heights that are those on both of its sides is left out.
-    """
-    rows = height_map.needed(field.heights)
-    columns = height_map.needed(field.heights[rows].T)
-    x, y = (c + field.cell * i for c, i in zip(field.corner, (rows, columns), strict=True))
-    points = np.empty((len(rows), len(columns), 3), np.float32)
-    points[..., 0], points[..., 1] = x[:, None], y
-    points[..., 2] = field.heights[np.ix_(rows, columns)]
-    number = np.arange(len(rows) * len(columns), dtype=np.uint32).reshape(len(rows), -1)
-    a, b, c, d = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
-    faces = np.stack([a, b, c, a, c, d], -1)  # the diagonal of height_map.py
-    return points.reshape(-1, 3), faces.reshape(-1, 3)
 
 
 def lines(field: HeightMap) -> np.ndarray:

@@ -1,6 +1,7 @@
-"""A robot that climbs stairs: stairs.png.
+r"""A robot that climbs stairs: stairs.png, stairs_g1.png.
 
-    MUJOCO_GL=egl python experiments/28_rough/picture.py POLICY.npz OUT.png [--ground pit_stairs:0.45] [--distance 1.9]
+    MUJOCO_GL=egl python experiments/28_rough/picture.py POLICY.npz OUT.png [--ground pit_stairs:0.45] \
+        [--distance 1.9]
 
 Four moments 0.5 s apart of a climb at 0.8 m/s, in C MuJoCo, seen from its right.
 """

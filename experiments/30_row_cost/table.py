@@ -225,9 +225,9 @@ def later(run: Run, before: float, after, power: float) -> np.ndarray:
 
 
 def settings(found: list[Run], place: str) -> tuple[Run, list[Run]] | None:
-    """`(best, PPO's)` of the last day on which `best` has five seeds, else of that with most, and of its batch
-    with most settings of PPO; of runs all of whose seeds get to the level. None where one of the two has not
-    been run."""
+    """`(best, PPO's)` of the last day on which `best` has five seeds, else of that with most, and of that
+    day's batch with most settings of PPO; of runs all of whose seeds get to the level. None where one of the
+    two has not been run."""
     mine = [run for run in found if run.place == place and np.isfinite(run.level).all()]
     both = [
         (run, [ppo for ppo in mine if ppo.batch == run.batch and ppo.method.startswith("ppo")])

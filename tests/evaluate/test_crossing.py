@@ -136,11 +136,13 @@ def test_tries_are_on_other_tiles_in_every_row_told_to_walk_ahead():
 
 def test_the_command_prints_and_writes_them(monkeypatch, tmp_path, capsys):
     counted = dict(all=dict(tries=2, crossed=1, fell=1), kinds={}, rows={})
-    about = dict(tries=2, seconds=20.0, speed=0.8, impl="c", device="cpu")
+    about = dict(tries=2, seconds=20.0, speed=0.8, impl="c", device="cpu", stairs=(0.0, 0.15))
     asked = []
     monkeypatch.setattr(crossing, "run", lambda *args: asked.append(args) or about | counted)
     assert status(command.main, "go1", "--crossing", "--episodes=2", f"--out={tmp_path}") == 0
-    assert "50% of 2, falls 50%" in capsys.readouterr().out and asked[0][1:3] == (2, 0)
+    said = capsys.readouterr().out
+    assert "50% of 2, falls 50%" in said and asked[0][1:3] == (2, 0)
+    assert "rows from the easiest to the hardest, stairs of 0 to 0.15 m a step; -: no try" in said
     assert json.loads((tmp_path / "crossing.json").read_text())["all"]["crossed"] == 1
     assert "--crossing: expected no --stress" in mistake(
         command.main, ["go1", "--crossing", "--stress"], capsys

@@ -65,6 +65,25 @@ def test_the_table_has_a_row_a_disturbance_and_no_scan_for_the_blind(walker, mon
     assert "0.095 m" in out and "3, 3, 1" in out
 
 
+def test_a_flight_has_steps(walker, monkeypatch, capsys):
+    """A biped's range begins at 0 m, which is no step; and where no tile has steps there is no flight."""
+    from rich.console import Console
+
+    monkeypatch.setattr(stairs, "attempt", lambda *_, seed: ("climbed", False))
+    task = walker.policy.config["task"]
+
+    def run(low, high):
+        tiles = task.get("tiles", {}) | {"stairs": [low, high]}
+        return stairs.run(walker.policy._replace(config={"task": task | {"tiles": tiles}}))
+
+    rows = run(0.0, 0.15)
+    assert rows[0]["heights"] == [0.037, 0.075, 0.112] and rows[0]["climbed"] == [6] * 3
+    assert run(0.1, 0.1)[0]["heights"] == [0.1]
+    capsys.readouterr()
+    tables.stairs(Console(width=120), run(0.0, 0.0))
+    assert capsys.readouterr().out == ""
+
+
 def test_what_ends_a_try_is_the_base_alone(walker):
     model, fatal = walker.model, stairs.base(walker)
     bodies = {

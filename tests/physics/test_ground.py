@@ -4,13 +4,17 @@ from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 
 from dynappo import config as config_lib
 from dynappo.description import robot as robot_lib
 from dynappo.physics import ground
+from dynappo.policy import episode
 from dynappo.tasks.velocity import env as env_lib
+from dynappo.terrain import height_map
+from dynappo.terrain.height_map import HeightMap
 
 RAISED = 1.0  # m: all of a robot that stands on the floor is below such a ground
 
@@ -75,3 +79,37 @@ def test_mjx_tells_the_place_of_each_point(raised):
     action = jnp.zeros(w.env.action_size)
     jax.eval_shape(w.env.step, w.hyper, w.body, state, action, w.key)
     assert set(raised) == {(len(w.robot.feet), 2), (len(w.robot.parts), 2), (2,)}
+
+
+STEPS = np.repeat(0.1 * np.floor(np.arange(40) / 3)[:, None], 30, 1).astype(np.float32)
+DRAWN = {
+    "flat": np.zeros((9, 7), np.float32),
+    "raised": np.full((2, 2), 1.5, np.float32),
+    "stairs": STEPS,
+    "random": np.random.default_rng(0).uniform(0, 1, (20, 30)).astype(np.float32),
+}
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_what_a_film_draws_is_the_height_field_where_it_is(name):
+    """A ray from above meets the mesh and MuJoCo's height field at one height; nothing touches the mesh."""
+    field = HeightMap(DRAWN[name], 0.2, (-1.3, 0.7))
+    robot, heights = robot_lib.load("go1"), []
+    size = field.cell * (np.array(field.heights.shape) - 1)
+    points = field.corner + np.random.default_rng(1).uniform(0.01, 0.99, (200, 2)) * size
+    for drawn in (False, True):
+        model = episode.compiled(robot.xml, robot.text, field, drawn=drawn)
+        floor, data = model.geom("floor").id, mujoco.MjData(model)
+        kind = mujoco.mjtGeom.mjGEOM_MESH if drawn else mujoco.mjtGeom.mjGEOM_HFIELD
+        assert model.geom_type[floor] == kind
+        assert (model.geom_contype[floor] + model.geom_conaffinity[floor] == 0) == drawn
+        data.qpos[:] = robot.home_qpos
+        data.qpos[2] += 50  # out of the way
+        mujoco.mj_kinematics(model, data)
+        ray = mujoco.mj_rayMesh if drawn else mujoco.mj_rayHfield
+        down = np.array([0.0, 0.0, -1.0])
+        found = [ray(model, data, floor, np.array([*p, 9.0]), down, None) for p in points]
+        heights.append(9 - np.array(found))
+    np.testing.assert_allclose(*heights, atol=1e-4)
+    at = height_map.height(*field, *points.T)
+    np.testing.assert_allclose(heights[1], at, atol=1e-4)

@@ -69,6 +69,7 @@ GROUND = {
     "rough": random(0.06),
     "fine": grid(lambda x, y: 0.03 * np.sin(20 * x) * np.sin(17 * y), 0.02),  # feet over many cells
 }
+HILL = grid(lambda x, y: 0.2 * x)
 EASIER = [name for name in GROUND if name not in ("rough", "stairs", "fine")]
 KERNEL = {"quadruped": quadruped, "tree": tree}
 
@@ -215,38 +216,86 @@ def load_physics(name):
 # --- in motion ---
 
 
-@pytest.mark.parametrize(
-    "ground", ["stairs", *(pytest.param(x, marks=pytest.mark.slow) for x in ("slope", "rough"))]
-)
-def test_feet_that_slide_go_where_those_of_c_mujoco_go(ground):
-    """A third of a second from 1 m/s, on slopes, over edges and steps; motors hold the home pose. On a way
-    of a third of a metre the mean of the bases is off by less than 8 mm (measured: 1 on the slope, 6 on
-    stairs), and nine of ten bases by less than 15 mm (11).
+STIFF = (100.0, 2.0, 80.0, 100.0, 60.0, 0.9, 0.3, 1.0)  # as MOTOR, for twice the robot's weight
 
-    Of all robots, for one alone says nothing: with starts that differ by 1 um some end 14 mm apart."""
-    case = Case("go1", substeps=20, ground=GROUND[ground])
+
+def motions(**limits):
+    """Grounds, contacts of a foot in C MuJoCo, limits; by default a test is on stairs, with the deepest."""
+    steps = {"deepest": deepest_alone, "all": mujoco.mj_step}
+    return [
+        pytest.param(
+            ground, steps[name], *limits[name], id=f"{ground}-{name}",
+            marks=[] if (ground, name) == ("stairs", "deepest") else pytest.mark.slow,
+        )
+        for ground in ("stairs", "slope", "rough") for name in steps
+    ]  # fmt: skip
+
+
+def held(case, calls, mj_step):
+    """Robots whose motors hold the home pose, after `calls` control steps: how far their bases went in C
+    MuJoCo [ROBOTS, 3], and how far the kernel's are from there (m)."""
     before, home = case.before, case.robot.home_qpos
     before["qpos"][:, 3:], before["target"][:] = home[3:], home[7:]
-    before["qvel"][:], before["qvel"][:, 0] = 0, 1.0
     on_the_ground(case, before["qpos"])
     after = before
-    for _ in range(3):
+    for _ in range(calls):
         after = case.step(after)
-    kp, kd, effort, stall, speed, strength, *_ = MOTOR
+    kp, kd, effort, stall, speed, strength, *_ = case.motors
     limits = dict(effort_limit=effort, saturation_effort=stall, velocity_limit=speed)
     moved, off = [], []
     for i in range(ROBOTS):
         model, data = case.of_robot(i)
         model.opt.iterations, model.opt.tolerance = 30, 1e-8
-        for _ in range(60):
+        for _ in range(calls * case.shape.substeps):
             qd = data.qvel[6:].copy()
             torque = actuators.pd(home[7:], data.qpos[7:], qd, kp, kd)
-            drive(data, strength * actuators.clip_dc_motor(torque, qd, **limits))
-            mujoco.mj_step(model, data)
+            drive(data, strength * actuators.clip_dc_motor(torque, qd, **limits), case.motors)
+            mj_step(model, data)
         moved.append(data.qpos[:3] - before["qpos"][i, :3])
         off.append(after["qpos"][i, :3] - data.qpos[:3])
-    assert np.abs(moved).max() > 0.2 and np.abs(np.mean(off, 0)).max() < 0.008
-    assert np.quantile(np.abs(off).max(1), 0.9) < 0.015
+    return np.array(moved), np.array(off)
+
+
+@pytest.mark.parametrize(
+    ("ground", "mj_step", "mean", "most"),
+    motions(deepest=(0.0003, 0.001), all=(0.008, 0.03)),
+)
+def test_feet_that_are_pressed_hold_as_those_of_c_mujoco(ground, mj_step, mean, most):
+    """Robots with 12 kg more than they have begin level, one foot on the ground: half a second later they
+    have tilted onto all feet, on a slope of 0.2, over edges and steps; with little friction some slip.
+
+    With the deepest contact of a foot alone nine of ten bases are within 1 mm (measured: 0.5). With all the
+    mean base is off by less than 8 mm (4), nine of ten by less than 30 (19)."""
+    field = HILL if ground == "slope" else GROUND[ground]
+    case = Case("go1", substeps=20, ground=field, motors=STIFF)
+    base, body = case.robot.base_body, case.fields
+    more = 1 + 12.0 / body["body_mass"][:, base]
+    body["body_mass"][:, base] *= more
+    body["body_inertia"][:, base] *= more[:, None]
+    for name in ("body_mass", "body_inertia"):
+        case.before[name][:] = body[name]
+    case.before["qvel"][:] = 0
+    moved, off = held(case, 5, mj_step)
+    assert moved[:, 2].mean() < -0.03
+    assert np.abs(off.mean(0)).max() < mean
+    assert np.quantile(np.abs(off).max(1), 0.9) < most
+
+
+@pytest.mark.parametrize(
+    ("ground", "mj_step", "mean", "most"),
+    motions(deepest=(0.0003, 0.001), all=(0.008, 0.015)),
+)
+def test_feet_that_slide_go_where_those_of_c_mujoco_go(ground, mj_step, mean, most):
+    """A third of a second from 1 m/s, on slopes, over edges and steps, a way of a third of a metre. With the
+    deepest contact of a foot alone nine of ten bases are within 1 mm (measured: 0.7). With all the mean base
+    is off by less than 8 mm (1 on the slope, 5 on stairs), nine of ten by less than 15 (11).
+
+    Of all robots, for one alone says nothing: with starts that differ by 1 um some end 14 mm apart."""
+    case = Case("go1", substeps=20, ground=GROUND[ground])
+    case.before["qvel"][:], case.before["qvel"][:, 0] = 0, 1.0
+    moved, off = held(case, 3, mj_step)
+    assert np.abs(moved).max() > 0.2 and np.abs(off.mean(0)).max() < mean
+    assert np.quantile(np.abs(off).max(1), 0.9) < most
 
 
 def on_the_ground(case, qpos):
@@ -328,7 +377,6 @@ def walk(world, case, policy, qpos, seconds, command):
     return (pose - qpos)[:, :2].mean(0) / seconds, fell.sum()
 
 
-HILL = grid(lambda x, y: 0.2 * x)
 WALKS = [("go1", "low rough")]
 SLOW = [
     pytest.param(*one, marks=pytest.mark.slow)
@@ -339,7 +387,7 @@ SLOW = [
 @pytest.mark.parametrize(("name", "ground"), [*WALKS, *SLOW])
 def test_a_policy_of_the_flat_floor_walks_as_in_c_mujoco(name, ground):
     """Ten seconds at 0.5 m/s, up a slope of 0.2 and on random ground of 2 cm: none falls, and the mean speed
-    is within 0.02 m/s (measured: 0.01)."""
+    is within 0.02 m/s (measured: 0.006)."""
     policy = policy_file.load(load(name).xml.with_name("policy.npz"))
     ground = HILL if ground == "slope" else random(0.02)
     case, robots = Case(name, substeps=policy.substeps, ground=ground), 3

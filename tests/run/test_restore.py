@@ -137,6 +137,11 @@ SIZES = {  # what differs from the run that is there, what the line says
     "model": ({"model__hidden": (8, 8)}, "model.hidden is "),
     "falls": ({"model__falls": True}, "model.falls is False there, True here"),
     "seeds": ({"run__num_seeds": 2}, "run.num_seeds is 1 there, 2 here"),
+    "history": ({"task__history": 3}, "task.history is 1 there, 3 here"),
+    "scan": (
+        {"task__scan": "grid", "task__terrain": "rough", "task__carry_on": False},
+        "task.scan is none there, grid here",
+    ),
 }
 
 

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from answers import ROOT
 from rich.console import Console
 
 from dynappo import config as config_lib
@@ -164,6 +165,23 @@ def test_without_a_gpu_it_is_said_before_anything_is_compiled():
         engine = "C MuJoCo" if "laptop" in spec else "JAX" if "brax" in spec else "MJX-JAX"
         assert compiles.startswith(f"{engine} (") and "minutes" in compiles
         text.truncate(text.seek(0))
+
+
+def test_on_rough_ground_no_other_task_is_proposed_without_a_gpu():
+    """`:laptop` is on a floor. It says what experiments/28_rough measured, and which policy there is."""
+    for robot, bundled in (("go2", True), ("g1", False)):
+        line = show.on_a_cpu(config(f"configs/{robot}.py:rough"), {"task.scan": "grid"})
+        assert line.startswith(
+            "there is no GPU here, so this will be slow; on a CPU MJX compiles for minutes"
+        )
+        assert "--config.physics.impl=c; no variant of rough ground is made for a CPU" in line
+        assert "laptop" not in line and "docs/terrain.md" in line
+        assert (f"play {robot}_rough --out=walk.html" in line) == bundled
+    page = (ROOT / "docs" / "terrain.md").read_text()
+    assert "## Without a GPU" in page
+    assert show.on_a_cpu(config("configs/go2.py:rough", device="cpu"), {}).startswith(
+        "on a CPU MJX"
+    )
 
 
 def test_what_is_proposed_without_a_gpu_keeps_the_users_task(tmp_path, monkeypatch):

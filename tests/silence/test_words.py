@@ -48,16 +48,25 @@ def test_what_numbers_of_rough_ground_are_of_is_said(tmp_path, monkeypatch, caps
     rough = policy._replace(
         config=policy.config | {"task": policy.config["task"] | {"terrain": "rough"}}
     )
-    flags = SimpleNamespace(crossing=False)
+    flags = SimpleNamespace(crossing=False, record=None, stress=False, fast=False, robot_xml=None)
     assert evaluate_command.rough_note(policy, flags) == ""
     line = evaluate_command.rough_note(rough, flags)
     assert "are on a flat floor" in line and "ends where the robot leaves its tile" in line
-    assert evaluate_command.rough_note(rough, SimpleNamespace(crossing=True)) == ""
+    flags.fast = True
+    line = evaluate_command.rough_note(rough, flags)
+    assert "are on a flat floor, --crossing tells" in line and "episode" not in line
+    flags.stress = True
+    line = evaluate_command.rough_note(rough, flags)
+    assert "disturbances are on a flat floor, and flights of stairs follow" in line
+    flags.crossing = True
+    assert evaluate_command.rough_note(rough, flags) == ""
     summary = {"return": 1.0, "return_max": 1.0, "sim_steps": 9, "seconds": 1.0, "impl": "c"}
     summary |= {"compile_seconds": 1.0, "evaluation": SEEN | {"crossed": [0.905, 0.925]}}
     show.summary(Console(width=120), config(), tmp_path, summary)
     text = " ".join(capsys.readouterr().out.split())
-    assert "evaluation: length 320.00 control steps, to the edge of its tile" in text
+    assert (
+        "evaluation: length 320.00 control steps, until a fall, its tile's edge or the time" in text
+    )
     told = tables.episodes_rows(SEEN | {"seconds": 20.0, "crossed": 0.915})
     assert ["tiles crossed", "91.5 %"] in told
     floor = [label for label, _ in tables.episodes_rows(SEEN | {"seconds": 20.0})]

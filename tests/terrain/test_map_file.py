@@ -16,7 +16,7 @@ from dynappo.look import command as look
 from dynappo.physics import ground
 from dynappo.policy import policy_file, policy_source
 from dynappo.tasks.velocity import env as env_lib
-from dynappo.terrain import curriculum, map_file
+from dynappo.terrain import curriculum, height_map, map_file
 from dynappo.terrain import tiles as tiles_lib
 
 HEIGHTS = np.random.default_rng(0).uniform(-0.1, 0.2, (91, 171)).astype(np.float32)
@@ -77,8 +77,17 @@ def test_a_picture_with_colours_is_no_ground(tmp_path):
         ("a.png", b"nonsense", "expected a picture in the format PNG"),
         ("a.npy", np.zeros((3, 4, 5)), "an array of (3, 4, 5), expected two axes of at least 2"),
         ("a.npy", np.zeros((1, 4)), "an array of (1, 4), expected two axes of at least 2 points"),
-        ("a.npy", np.full((4, 4), np.nan), "heights beyond 100 m or that are no numbers"),
-        ("a.npy", np.full((4, 4), 101.0), "heights beyond 100 m or that are no numbers"),
+        (
+            "a.npy",
+            np.where(np.eye(4)[::-1], np.nan, 0.0),
+            "4 of 16 heights are no numbers, first that at [0, 3], expected m from -100 to 100",
+        ),
+        ("a.npy", np.full((4, 4), -np.inf), "16 of 16 heights are no numbers"),
+        ("a.npy", np.eye(4) * 101, "heights from 0 to 101 m, expected m from -100 to 100"),
+        ("a.npz", b"nonsense", "expected a file that ends in .npy or .png"),
+        ("a.npy", b"", "expected an array of numbers"),
+        ("a.npy", np.zeros((0, 4)), "an array of (0, 4), expected two axes of at least 2 points"),
+        ("a.npy", np.zeros((90, 90), complex), "expected an array of numbers"),
         ("a.npy", np.array([["a", "b"]]), "expected an array of numbers"),
         ("a.npy", np.array([[{}, 1]]), "expected an array of numbers"),
         ("a.npy", np.zeros((41, 90)), "task.tiles.size is 8, expected at most 4: "),
@@ -96,6 +105,59 @@ def test_a_bad_file_is_one_line_that_says_what_was_found_and_expected(
         settled(path)
     assert str(path) in str(error.value) and "\n" not in str(error.value)
     assert str(error.value).startswith("task.tiles.")
+
+
+@pytest.mark.parametrize(
+    ("field", "says"),
+    [
+        ("cell=-0.1", "cell is -0.1, expected 0.01 to 1"),
+        ("cell=0.0", "cell is 0.0, expected 0.01 to 1"),
+        ("size=500.0", "size is 500.0, expected 2 to 100"),
+        ("size=17.5", "size is 17.5, expected at most 9: "),
+        ("map_level=0.0", "map_level is 0.0, expected more than 0"),
+    ],
+)
+def test_a_bad_field_beside_a_good_file_is_named(array, field, says):
+    with pytest.raises(ConfigError, match=re.escape(f"task.tiles.{says}")):
+        settled(array, field)
+
+
+def test_a_picture_without_a_height_at_each_point_is_refused(tmp_path):
+    """One that is transparent somewhere; and heights that its level makes too high."""
+    levels = np.full((90, 90, 4), 255, np.uint8)
+    levels[3, 4, 3] = 254
+    with pytest.raises(ConfigError, match="1 of 8100 points are transparent, expected a height at"):
+        settled(picture(tmp_path / "a.png", levels))
+    path = picture(tmp_path / "b.png", levels[..., 0])
+    with pytest.raises(ConfigError, match="from 255 to 255 m, .*; a level of its grey is 1 m"):
+        settled(path, "map_level=1.0")
+
+
+@pytest.mark.parametrize(
+    ("made", "says"),
+    [
+        (dict(heights=HEIGHTS.astype(float)), "ground.heights is float64, expected an array of"),
+        (dict(heights=HEIGHTS.tolist()), "ground.heights is list, expected an array of NumPy's"),
+        (dict(heights=HEIGHTS[:1]), "ground.heights has the shape (1, 171), expected [X, Y]"),
+        (dict(heights=HEIGHTS * np.nan), "ground.heights has some that are not finite, expected m"),
+        (dict(cell=-0.1), "ground.cell is -0.1, expected m above 0"),
+        (dict(cell="0.1"), "ground.cell is '0.1', expected m above 0"),
+        (dict(corner=(0.0,)), "ground.corner is (0.0,), expected x and y in m"),
+        (dict(corner=(0.0, np.nan)), "ground.corner is (0.0, nan), expected x and y in m"),
+        (dict(corner=(-4.0, -8.5)), "task.tiles has x from -4.5 to 4.5 m (rows, columns, size;"),
+        (dict(cell=0.05), "the ground from -4.5 to 0 m; set task.tiles.rows, columns and size"),
+    ],
+)
+def test_a_ground_in_python_that_is_none_is_one_line(made, says):
+    """Also one that is smaller than its tiles: robots would begin beside it."""
+    tiles = config_lib.load("go2:rough").task.tiles
+    tiles.update(rows=1, columns=1, size=9.0)
+    good = height_map.HeightMap(HEIGHTS, 0.1, (-4.5, -8.5))
+    ground.check_tiles(tiles, good)
+    with pytest.raises(ConfigError, match=re.escape(says)):
+        ground.check_tiles(tiles, good._replace(**made))
+    with pytest.raises(ConfigError, match="ground is a ndarray, expected a HeightMap"):
+        ground.check_tiles(tiles, HEIGHTS)
 
 
 def test_a_run_keeps_which_file_it_is_and_its_tiles_are_as_many_as_fit(
@@ -121,7 +183,8 @@ def test_a_run_keeps_which_file_it_is_and_its_tiles_are_as_many_as_fit(
     with pytest.raises(ConfigError, match="is another file .*expected the one that the run began"):
         ground.of_tiles(kept.task.tiles)
     os.unlink("mine.npy")
-    with pytest.raises(ConfigError, match=r"task.tiles.map: .*mine.npy cannot be read"):
+    gone = r"task.tiles.map: .*mine.npy cannot be read .*, nor is there a mine.npy here: expected the map"
+    with pytest.raises(ConfigError, match=gone):
         ground.of_tiles(kept.task.tiles)
     flags.set_fields(kept, ["--config.task.tiles.map="])  # and back to made tiles
     assert kept.task.tiles.map_hash == ""
@@ -163,7 +226,19 @@ def test_crossings_of_a_map_have_one_kind(array):
     assert numbers["rows"]["map"][1] == {"tries": 2, "crossed": 1, "fell": 1}
 
 
-def test_play_and_look_show_it(array, tmp_path):
+def test_look_writes_no_picture_over_a_map(tmp_path):
+    """Its --ground is written, where play's is read."""
+    path = picture(tmp_path / "ground.png", np.zeros((90, 90), np.uint8))
+    before = (tmp_path / "ground.png").read_bytes()
+    with pytest.raises(ConfigError, match="ground.png: it could be a map of yours"):
+        look.parse(["go2:rough", f"--ground={path}"])
+    assert (tmp_path / "ground.png").read_bytes() == before
+    colours = np.zeros((9, 9, 3), np.uint8)
+    colours[0, 0, 0] = 9
+    look.parse(["go2:rough", f"--ground={picture(tmp_path / 'seen.png', colours)}"])
+
+
+def test_play_and_look_show_it(array, tmp_path, capsys):
     policy = policy_file.load(robot_lib.load("go2").xml.with_name("policy.npz"))
     np.testing.assert_array_equal(policy_source.ground(policy, str(array)).heights, HEIGHTS)
     with pytest.raises(ConfigError, match=r"--ground: .*no.npy cannot be read"):
@@ -180,3 +255,7 @@ def test_play_and_look_show_it(array, tmp_path):
         )
     )
     assert out.stat().st_size > 1000
+    said = capsys.readouterr().out
+    steep = max(abs(np.diff(HEIGHTS, axis=k)).max() for k in (0, 1))
+    assert "4.5 x 8.5 m, -0.1 to 0.2 m high, two points at most" in said  # cells of 0.05 m
+    assert f"at most {steep:.3g} m apart in height, 1 x 2 tiles of 4 m" in said

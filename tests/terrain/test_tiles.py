@@ -127,7 +127,12 @@ def test_isaac_labs_columns_and_rows_are_the_defaults():
     [
         (dict(size=8.05), r"task.tiles.size is 8.05, expected a multiple of task.tiles.cell = 0.1"),
         (dict(shares=(0.0,) * 6), "task.tiles.shares is .* one or more above 0"),
-        (dict(stairs_platform=7.0), "task.tiles.stairs_platform is 7.0, expected at most 6: "),
+        (dict(stairs_platform=7.0), "task.tiles.stairs_platform is 7.0, expected at most 6, "),
+        (dict(stairs_border=4.0), "expected at most 0, .* twice task.tiles.stairs_border = 4"),
+        (dict(margin=4.0), "task.tiles.platform is 2.0, .* less twice task.tiles.margin = 4"),
+        (dict(box_width=1e-9), "task.tiles.box_width is 1e-09, expected 0.01 to 100"),
+        (dict(slope=(0.0, 50.0)), "task.tiles.slope is .*, expected 0 to 10"),
+        (dict(stairs=(0.2, 0.1)), r"task.tiles.stairs is .*, expected \(low, high\)"),
         (dict(cell=0.01, rows=100, columns=100), "task.tiles.cell is 0.01, expected at most 100 "),
     ],
 )

@@ -19,7 +19,7 @@ from dynappo.description import kinematics
 from dynappo.description import robot as robot_lib
 from dynappo.physics import engine as engine_lib
 from dynappo.physics import ground, randomize
-from dynappo.physics.ground import of_tiles
+from dynappo.physics.ground import check_tiles, of_tiles
 from dynappo.tasks.velocity import (
     clearance,
     commands,
@@ -84,8 +84,8 @@ def make(
     With `task.terrain` "rough" it is on the ground of `task.tiles`, or on a `ground` of one's own, whose
     tiles are where that group says.
 
-    ConfigError where terms of the reward and their weights do not fit (reward_sum.py), or a gait clock the
-    robot's feet.
+    ConfigError where a tile is not on that ground, where terms of the reward and their weights do not fit
+    (reward_sum.py), or a gait clock the robot's feet.
     """
     gait.check(task.gait_frequency, robot.name, len(robot.foot_names))
     dt = physics_config.substeps * physics_config.timestep
@@ -98,7 +98,10 @@ def make(
     if task.terrain == "flat":
         ground = None
     else:
-        ground = of_tiles(task.tiles) if ground is None else ground
+        if ground is None:
+            ground = of_tiles(task.tiles)
+        else:
+            check_tiles(task.tiles, ground)
         around = surroundings.make(robot, task, physics_config, ground, fatal)
     clock = task.gait_frequency is not None
     layout = view.make(task.observation, task.history, joints, varied, clock, around, of_own)
