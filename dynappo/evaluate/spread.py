@@ -64,7 +64,8 @@ def _of_copies(work, items):
             copies.append(copy)
             results.append(receives)
         while results:
-            for one in connection.wait(results):
+            arrived: list[Any] = connection.wait(results)
+            for one in arrived:
                 try:
                     yield one.recv()
                 except (EOFError, OSError):

@@ -26,8 +26,8 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from dynappo.physics import actuators
 from dynappo.evaluate.spread import spread
+from dynappo.physics import actuators
 from dynappo.policy import episode as episode_lib
 from dynappo.policy import policy_file
 from dynappo.policy.episode import Player

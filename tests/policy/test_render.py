@@ -94,7 +94,7 @@ def test_a_film_plays_at_the_speed_of_the_robot_and_is_not_blank(filmed):
 
 
 def test_a_small_picture_has_less_detail_which_nobody_sees():
-    """Of half the height: corners by the root of that, shadows by it; of the file's height, or more: as it is."""
+    """By half the height: corners by its root, shadows by itself; from the file's height on, as it is."""
     for share, expected in ((1.0, (28, 16, 4096)), (2.0, (28, 16, 4096)), (0.5, (20, 11, 2048))):
         model = mujoco.MjModel.from_xml_path(str(GO1.xml))
         render.coarser(model, share)
