@@ -136,7 +136,7 @@ def _source(xml, fresh: faults.Fresh, spec, said: list[str], notes: list[str], *
         first = [faults.plain(error)]
     # without a keyframe a pose is found for it later
     said = [*said, *faults.of_spec(fresh, pose=not said and bool(spec.keys))] or first
-    if model is not None and not model.body_mass.sum() >= LIGHTEST:
+    if model is not None and model.nbody > 1 and not model.body_mass.sum() >= LIGHTEST:
         heaviest = model.body(int(model.body_mass.argmax()))
         said.append(
             f"the robot has a mass of {model.body_mass.sum():g} kg, expected {LIGHTEST:g} kg or more: its "

@@ -84,6 +84,8 @@ def of_spec(fresh: Fresh, pose: bool = True) -> list[str]:
     said = _mend_tree(spec)
     mends: list[Callable[[mujoco.MjSpec], object]] = [_mend_tree] if said else []
     said += robot_contract.broken_options(spec)
+    if robot_contract.broken_tree(spec):  # there is no robot in it
+        return said
     mends.append(_mend_options)
     errors, pose = [], pose and len(mends) == 1
     while len(errors) < MOST:

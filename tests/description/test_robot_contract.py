@@ -449,6 +449,15 @@ def test_what_leaves_the_pose_as_it_is_hides_nothing_of_it(tmp_path):
     assert found[1].endswith("); give each an inertial, or shapes that have a mass")
 
 
+def test_where_there_is_no_robot_that_is_all(tmp_path):
+    assert faults_in(
+        message(tmp_path, lambda _: "<mujoco><worldbody><geom size='1'/></worldbody></mujoco>")
+    ) == [
+        "expected a free joint on the base, before all other joints, found no joint",
+        "expected hinge joints, found none",
+    ]
+
+
 UNKNOWN_POSE = {
     "a joint of another kind": (THIGH, f'{THIGH} type="slide"'),
     "a class that is not there": (THIGH, THIGH.replace('"thigh"', '"thighs"')),
