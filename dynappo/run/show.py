@@ -90,9 +90,7 @@ def unusual(out, text: str) -> None:
 
 
 @contextlib.contextmanager
-def live(
-    out, config, given: Mapping[str, str] | None = None, runs: int = 1
-) -> Iterator[Callbacks]:
+def live(out, config, given: Mapping[str, str] | None = None, runs: int = 1) -> Iterator[Callbacks]:
     """A line on the console `out` that follows a training of `runs` runs at once; yields its callbacks.
 
     `given` has the texts of fields that the user has set, for commands that are proposed. Where `out` is no
