@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import toy_env
+from answers import refused
 from toy_runs import assert_close
 
 from dynappo import algorithm, schedule
@@ -1791,6 +1792,23 @@ def test_a_teacher_says_what_its_policy_does_in_the_exact_state():
             "--teacher go1 --config anymal_c:best",
             "is a policy of go1; expected one of anymal_c",
         ),
+        (
+            "--set task.action_scale=0.3",
+            "--teacher=go1 was trained with task.action_scale 0.25 at FL_hip_joint, and the student has 0.3 "
+            "and at 11 joints more: the same action would be another motion; --set task.action_scale=0.25",
+        ),
+        (
+            "--set task.kp={'.*_calf_joint':30.0,'.*':25.0}",
+            "with task.kp 25 at FL_calf_joint, and the student has 30 and at 3 joints more",
+        ),
+        (
+            "--set task.kd=0.6",
+            "was trained with task.kd 0.5 at FL_hip_joint, and the student has 0.6",
+        ),
+        (
+            "--set physics.substeps=5",
+            "acts every 0.02 s and the student every 0.025 s, by physics.timestep and physics.substeps",
+        ),
         ("--teacher nothing", "nothing: no such file or folder; expected a workdir"),
         ("--config nope", "--config: no file 'nope'"),
         ("--set task.nothing=1", "--config.task.nothing: no such field"),
@@ -1808,6 +1826,16 @@ def test_a_student_without_a_fitting_teacher_is_refused_in_one_line(
         student.main()
     line = capsys.readouterr().err
     assert end.value.code == 2 and said in line and line.count("\n") == 1, line
+
+
+def test_a_teacher_of_another_default_pose_is_refused():
+    student, robot = script("29_student/student"), robot_lib.load("go1")
+    teacher, _ = policy_source.load("go1")
+    bent = teacher._replace(default_pose=teacher.default_pose + 0.1 * np.eye(12)[4])
+    said = refused(student.check, bent, "go1", config_lib.load("go1:best"), robot)
+    assert (
+        "was trained with default_pose 0.9 at FR_thigh_joint, and the student has 0.8: the" in said
+    )
 
 
 def test_the_bundled_policies_that_see_the_state_may_teach_their_robots():

@@ -84,6 +84,7 @@ MAY_ALSO = {
     "tasks.playground.c_physics": {"pure_callback"},
     "tasks.playground.loading": {"pathlib", "os"},
     "tasks.playground.swapped": {"threading"},
+    "description.faults": FILES,
     "description.robot": FILES | PATHS,
     "tasks.velocity.log_file": FILES | PATHS,
     "terrain.map_file": FILES | PATHS,

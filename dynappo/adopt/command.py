@@ -28,7 +28,7 @@ from dynappo import config as config_lib
 from dynappo.adopt import gains, looks, normal, pose, source, writing
 from dynappo.config import ConfigError, files, interpreter, shell
 from dynappo.config import flags as flags_lib
-from dynappo.description import complete, mjcf, motors
+from dynappo.description import collision, complete, faults, mjcf, motors, robot_contract
 from dynappo.description import robot as robot_lib
 from dynappo.description import text as text_lib
 from dynappo.physics import engine_contract
@@ -167,13 +167,16 @@ def completed(file: source.Source, name: str) -> tuple[mujoco.MjSpec, robot_lib.
             return spec, loaded(spec, name, file), notes
         except (ValueError, ConfigError) as error:
             problem = problem or error
-    if "expected a foot" in str(problem):
+    assert problem
+    said = faults.of_spec(file.fresh, pose=bool(file.spec.keys))
+    if said and not any(collision.NO_FOOT in one for one in said):
+        raise ValueError(robot_contract.in_words(said))
+    if collision.NO_FOOT in str(problem):
         raise ValueError(
             "no legs found: no limb without wheels ends near the robot's lowest point in the home pose; "
             "only robots on feet are adopted. If it has feet, name their shapes NAME_foot, NAME_foot1, "
             "... in the file"
         )
-    assert problem
     raise problem
 
 

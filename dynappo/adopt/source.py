@@ -8,6 +8,7 @@ import hashlib
 import math
 import os
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree
@@ -16,7 +17,7 @@ import mujoco
 import numpy as np
 
 from dynappo.config import ConfigError
-from dynappo.description import complete, mjcf
+from dynappo.description import complete, faults, mjcf, robot_contract
 
 MESHES = {".obj", ".stl", ".msh"}  # that MuJoCo reads
 LICENCES = ("LICENSE*", "LICENCE*", "COPYING*")
@@ -47,6 +48,7 @@ class Source(NamedTuple):
 
     xml: Path
     spec: mujoco.MjSpec  # of the file, without meshes that are not there
+    fresh: faults.Fresh  # reads `spec` anew
     model: mujoco.MjModel  # its spec, compiled
     velocity: dict[str, float]  # rad/s, of a URDF's joints
     lost: int  # looks that are not there, or that MuJoCo cannot read
@@ -98,48 +100,68 @@ def read(xml: Path, notes: list[str] | None = None) -> Source:
             raise ValueError(f"it is a xacro; {XACRO}")
         if root.tag not in ("robot", "mujoco"):
             raise ValueError(f"expected an MJCF or a URDF, found the element {root.tag}")
-        _check_numbers(xml, root)
-        if root.tag == "robot":
-            return _urdf(xml, root, notes)
-        spec = mujoco.MjSpec.from_file(str(xml))
-        complete.drop_bodies_without_limbs(spec, notes)
+        said = list(dict.fromkeys(_no_numbers(xml, root)))
+        return (_urdf if root.tag == "robot" else _mjcf)(xml, root, notes, said)
+
+
+def _mjcf(xml: Path, root: ElementTree.Element, notes: list[str], said: list[str]) -> Source:
+    """An MJCF without the shapes whose meshes are not there; `said` is what is known to be wrong with it."""
+    fresh, more = faults.read(xml)
+    if fresh is None:
+        raise ValueError(robot_contract.in_words([*said, *more]))
+
+    def without_lost():
+        spec = fresh()
+        complete.drop_bodies_without_limbs(spec, [])
         for kind, things in (("joint", spec.joints), ("link", spec.bodies[1:])):
             for i, thing in enumerate(things):
                 thing.name = thing.name or f"{kind}{i}"
-        lost = _drop_meshes(spec, Path(spec.modelfiledir or xml.parent) / spec.meshdir)
-        _check_lost(lost, notes)
-        return Source(xml, spec, _compiled(spec), {}, len(lost), tuple(notes))
+        return spec, _drop_meshes(spec, Path(spec.modelfiledir or xml.parent) / spec.meshdir)
+
+    complete.drop_bodies_without_limbs(fresh(), notes)
+    spec, lost = without_lost()
+    said += [*more, *_lost(lost, notes)]
+    return _source(xml, lambda: without_lost()[0], spec, said, notes, velocity={}, lost=len(lost))
 
 
-def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
-    """The model of a spec, which stays as it is; ValueError if it has next to no mass."""
-    model = spec.copy().compile()
-    if not model.body_mass.sum() >= LIGHTEST:
+def _source(xml, fresh: faults.Fresh, spec, said: list[str], notes: list[str], **more) -> Source:
+    """The source of a spec, which stays as it is; ValueError with all that is wrong: what was `said` before,
+    what keeps it from being compiled or trained, a robot of next to no mass."""
+    model, first = None, []
+    try:
+        model = spec.copy().compile()
+        if not said and model.body_mass.sum() >= LIGHTEST:
+            return Source(xml, spec, fresh, model, notes=tuple(notes), **more)
+    except faults.READ as error:
+        first = [faults.plain(error)]
+    # without a keyframe a pose is found for it later
+    said = [*said, *faults.of_spec(fresh, pose=not said and bool(spec.keys))] or first
+    if model is not None and model.nbody > 1 and not model.body_mass.sum() >= LIGHTEST:
         heaviest = model.body(int(model.body_mass.argmax()))
-        raise ValueError(
+        said.append(
             f"the robot has a mass of {model.body_mass.sum():g} kg, expected {LIGHTEST:g} kg or more: its "
             f"heaviest body, {heaviest.name}, has {heaviest.mass[0]:g} kg; correct the masses"
         )
-    return model
+    raise ValueError(robot_contract.in_words(said))
 
 
-def _check_numbers(xml: Path, root: ElementTree.Element, body: str = "") -> None:
-    """ValueError for a mass or an inertia of an MJCF or a URDF, or of what it includes, that is no number:
-    MuJoCo takes `nan` for one that is not given."""
+def _no_numbers(xml: Path, root: ElementTree.Element, body: str = "") -> Iterator[str]:
+    """Masses and inertias of an MJCF or a URDF, or of what it includes, that are no number, in words: MuJoCo
+    takes `nan` for one that is not given."""
     for element in root:
         inside = element.get("name", "a body") if element.tag in ("body", "link") else body
         urdf = body and root.tag == "inertial" and element.tag in ("mass", "inertia")
         for name, text in element.attrib.items():
             if (urdf or name in NUMBERS) and not all(map(_is_finite, text.split())):
-                raise ValueError(
+                yield (
                     f"the {element.tag} of {inside or 'a default class'} has {name}={text!r}, "
                     "expected a number"
                 )
         if element.tag == "include":
             with contextlib.suppress(OSError, ElementTree.ParseError):  # MuJoCo says so
                 path = xml.parent / element.get("file", "")
-                _check_numbers(xml, ElementTree.parse(path).getroot(), inside)
-        _check_numbers(xml, element, inside)
+                yield from _no_numbers(path, ElementTree.parse(path).getroot(), inside)
+        yield from _no_numbers(xml, element, inside)
 
 
 def _is_finite(text: str) -> bool:
@@ -157,12 +179,12 @@ def _is_xacro(root: ElementTree.Element) -> bool:
     return elements or any(re.search(r"\$[{(]", value) for value in values)
 
 
-def _urdf(xml: Path, root: ElementTree.Element, notes: list[str]) -> Source:
+def _urdf(xml: Path, root: ElementTree.Element, notes: list[str], said: list[str]) -> Source:
     """A URDF: its meshes found, its links kept apart, its base free; MuJoCo would weld it to the world."""
     lost, velocity, elsewhere = [], {}, []
     for joint in root.iter("joint"):
         for limit in joint.iter("limit"):
-            velocity[joint.get("name", "")] = float(limit.get("velocity", "nan"))
+            velocity[joint.get("name", "")] = _number(limit, "velocity") or math.nan
     compilers = [*root.findall("mujoco/compiler")]
     folders = [xml.parent / one.get("meshdir", ".") for one in compilers] + [xml.parent]
     for link in root.iter("link"):
@@ -183,37 +205,57 @@ def _urdf(xml: Path, root: ElementTree.Element, notes: list[str]) -> Source:
                     elsewhere.append(f"{found.parent.name}/{found.name}")
     if elsewhere:
         notes.append(f"meshes are taken from a folder beside the URDF: {_listed(elsewhere)}")
-    _check_lost(lost, notes)
-    _mend_inertias(root, notes)
+    said = [*said, *_lost(lost, notes), *_mend_inertias(root, notes)]
     for other in root.findall("mujoco"):
         root.remove(other)
     options = dict(fusestatic="false", discardvisual="false", strippath="false", angle="radian")
     ElementTree.SubElement(ElementTree.SubElement(root, "mujoco"), "compiler", options)
-    spec = mujoco.MjSpec.from_string(ElementTree.tostring(root, "unicode"))
-    for geom in spec.geoms:
-        geom.mass = 0.0  # a link without an inertial has no mass in a URDF
-    for body in spec.worldbody.bodies:
-        if not body.joints:
-            body.add_freejoint()
-            notes.append(f"the URDF fixes nothing to the world: {body.name} has a free joint")
-    spec.fuse_static()
-    return Source(xml, spec, _compiled(spec), velocity, len(lost), tuple(notes))
+    text = ElementTree.tostring(root, "unicode")
+
+    def fresh(freed: list[str] | None = None):
+        spec = mujoco.MjSpec.from_string(text)
+        for geom in spec.geoms:
+            geom.mass = 0.0  # a link without an inertial has no mass in a URDF
+        for body in spec.worldbody.bodies:
+            if not body.joints:
+                body.add_freejoint()
+                if freed is not None:
+                    freed.append(body.name)
+        spec.fuse_static()
+        return spec
+
+    freed: list[str] = []
+    try:
+        spec = fresh(freed)
+    except faults.READ as error:
+        raise ValueError(robot_contract.in_words([*said, faults.plain(error)])) from None
+    for name in freed:
+        notes.append(f"the URDF fixes nothing to the world: {name} has a free joint")
+    return _source(xml, fresh, spec, said, notes, velocity=velocity, lost=len(lost))
 
 
-def _mend_inertias(root: ElementTree.Element, notes: list[str]) -> None:
+def _mend_inertias(root: ElementTree.Element, notes: list[str]) -> list[str]:
     """Give the links of a URDF inertias that a body can have; a line on each change.
 
     Principal moments must be positive, and none larger than the sum of the others. Badly rounded moments
     become the nearest possible ones. Sensors and covers, which often have zeros or worse, get a ball's.
-    ValueError for a heavy link, whose inertia nobody should guess.
+    The result is what is wrong with heavy links, in words: their inertia nobody should guess.
     """
+    said = []
     links = {link.get("name", ""): link for link in root.iter("link")}
+    for element in root.iter("mass"):
+        if not math.isfinite(_number(element, "value")):
+            element.set("value", "1")  # it was said; to go on
     masses = {n: _number(link.find("inertial/mass"), "value") for n, link in links.items()}
     for name, link in links.items():
         element, mass = link.find("inertial/inertia"), masses[name]
         if element is None or not mass > 0:
             continue
-        xx, xy, xz, yy, yz, zz = (_number(element, f"i{n}") for n in XX)
+        numbers = np.array([_number(element, f"i{n}") for n in XX])
+        if not np.isfinite(numbers).all():  # likewise
+            numbers = np.array([1.0, 0, 0, 1, 0, 1])
+            element.attrib.update({f"i{n}": f"{x}" for n, x in zip(XX, numbers, strict=True)})
+        xx, xy, xz, yy, yz, zz = numbers
         moments, axes = np.linalg.eigh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         small, middle, large = moments
         over = large - small - middle
@@ -228,19 +270,21 @@ def _mend_inertias(root: ElementTree.Element, notes: list[str]) -> None:
         elif mass <= LIGHT * sum(masses.values()):
             new, how = np.full(3, ball), f"those of a ball of {BALL * 100:g} cm"
         else:
-            raise ValueError(
+            said.append(
                 f"the link {name} of {mass:g} kg has the principal moments {_moments(moments)} kg m^2, "
                 "which no body has: expected positive ones, none above the sum of the others; "
                 "correct its inertia"
             )
+            new, how = np.full(3, ball), ""  # to go on
         for n, value in zip(XX, (axes * new @ axes.T)[np.triu_indices(3)], strict=True):
             element.set(f"i{n}", repr(float(value)))
-        if small <= 1e-12 or over > EXACT * large:
+        if how and (small <= 1e-12 or over > EXACT * large):
             old = _moments(moments)
             notes.append(
                 f"inertia of {name}: no body has the principal moments {old} kg m^2; now {how}, "
                 f"{_moments(new)}"
             )
+    return said
 
 
 def _moments(values: np.ndarray) -> str:
@@ -248,8 +292,9 @@ def _moments(values: np.ndarray) -> str:
 
 
 def _number(element: ElementTree.Element | None, name: str) -> float:
-    """A number of a URDF's element; 0 if there is none."""
-    return 0.0 if element is None else float(element.get(name, 0))
+    """A number of a URDF's element; 0 if there is none, nan for what is no number."""
+    text = "0" if element is None else element.get(name, "0")
+    return float(text) if _is_finite(text) else math.nan
 
 
 def _mesh(folders: list[Path], name: str) -> tuple[Path | None, str]:
@@ -290,20 +335,22 @@ def _drop_meshes(spec: mujoco.MjSpec, folder: Path) -> list[Lost]:
     return lost
 
 
-def _check_lost(lost: list[Lost], notes: list[str]) -> None:
-    """A line for each way in which looks are lost; ValueError if a shape that collides is: a robot that lies
+def _lost(lost: list[Lost], notes: list[str]) -> list[str]:
+    """A line for each way in which looks are lost; in words, what shapes that collide are: a robot that lies
     on that link, be it a limb or the base, would not have fallen."""
+    said = []
     for why in UNUSABLE:
         if files := [one.file for one in lost if one.why == why and not one.collides]:
             notes.append(f"looks are left out, their meshes are {why}: {_listed(files)}")
     for why, remedy in UNUSABLE.items():
         shapes = [one for one in lost if one.why == why and one.collides]
         if shapes:
-            raise ValueError(
+            said.append(
                 f"shapes that collide are missing on {_listed([one.link for one in shapes])}: their meshes "
                 f"are {why} ({_listed([one.file for one in shapes])}); {remedy}, or give the links boxes or "
                 "capsules"
             )
+    return said
 
 
 def _listed(names: list[str], most: int = 4) -> str:

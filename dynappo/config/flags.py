@@ -29,7 +29,7 @@ BAD_PATH = (
     *(errno.ENAMETOOLONG, errno.ELOOP),
 )
 LONGEST = 600  # characters of a path
-LINE = 1500  # of a line: a robot's file may break several rules
+LINE = 4000  # of a line: a robot's file may break every rule
 STOPPED = (129, 130, 143)  # exit statuses of a command that was stopped by a signal
 
 

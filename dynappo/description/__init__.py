@@ -7,6 +7,7 @@
 - `feet`: which of a robot's shapes are its feet
 - `primitives`: the smallest primitive around a mesh
 - `robot_contract`: checks the rules that remain
+- `faults`: reads a file that was refused once more, for all that is wrong with it
 - `motors`: gives a robot the motors of a config, joint by joint
 - `text`: writes a completed robot as an MJCF that needs no other file
 - `kinematics`: where the feet are at given joint angles

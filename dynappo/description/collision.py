@@ -17,6 +17,7 @@ from dynappo.description.rotation import matrix
 
 VISUAL_GROUP, COLLISION_GROUP = 2, 3  # by the habit of MuJoCo Menagerie
 MESH, ELLIPSOID = mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_ELLIPSOID
+NO_FOOT = "expected a foot"
 # of a geom, what a primitive in its place keeps
 KEPT = "name condim priority friction solref solimp solmix margin gap group rgba".split()
 
@@ -128,7 +129,7 @@ def feet(spec: mujoco.MjSpec, model: mujoco.MjModel, notes: list[str]) -> bool:
     found = feet_lib.by_shape(model, np.array(spec.key("home").qpos))
     if not found:
         raise ValueError(
-            "expected a foot: no limb without wheels ends near the robot's lowest point in the home pose; "
+            f"{NO_FOOT}: no limb without wheels ends near the robot's lowest point in the home pose; "
             "name the shapes of each foot NAME_foot, NAME_foot1, ..."
         )
     geoms, renamed = {geom.id: geom for geom in spec.geoms}, {}

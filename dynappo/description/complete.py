@@ -70,8 +70,8 @@ def _completed(spec: mujoco.MjSpec) -> Completed:
     # where bodies go, MuJoCo empties the keys until it compiles
     poses = [np.array(key.qpos) for key in spec.keys]
     _delete_sensors_and_materials(spec)
-    floor = _choose_floor(spec)
-    freed = _one_robot(spec, floor, notes)
+    floor = choose_floor(spec)
+    freed = one_robot(spec, floor, notes)
     robot_contract.check_tree(spec)
     joints.names(spec)
     collision.pairs(spec, floor, notes)
@@ -137,7 +137,7 @@ def drop_bodies_without_limbs(spec: mujoco.MjSpec, notes: list[str]) -> None:
             key.qpos = pose[keep]
 
 
-def _one_robot(spec: mujoco.MjSpec, floor, notes: list[str]) -> bool:
+def one_robot(spec: mujoco.MjSpec, floor, notes: list[str]) -> bool:
     """One body with a free joint in the world, and the floor; whether it got its free joint here."""
     top = list(spec.worldbody.bodies)
     moving = [body for body in top if body.find_all("joint")]
@@ -190,7 +190,7 @@ def _merge(spec: mujoco.MjSpec, notes: list[str]) -> None:
 # the floor and the camera
 
 
-def _choose_floor(spec: mujoco.MjSpec):
+def choose_floor(spec: mujoco.MjSpec):
     """The plane of the world that is the floor; None if there is none."""
     planes = [g for g in spec.worldbody.geoms if g.type == PLANE]
     return next((g for g in planes if g.name == "floor"), planes[0] if planes else None)

@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 
 from dynappo.config import ConfigError, files
-from dynappo.description import collision, complete, feet, joints, mjcf, robot_contract
+from dynappo.description import collision, complete, faults, feet, joints, mjcf, robot_contract
 from dynappo.description import text as text_lib
 
 # prefixes and suffixes of a model's arrays that do not decide how it moves: shapes that touch are no meshes,
@@ -85,8 +85,11 @@ def load_text(text: str, name: str, source: Path) -> Robot:
 
 
 def _robot(name: str, xml: Path, text: str = "") -> Robot:
-    spec, model, notes = complete.complete(_spec(xml, text))
-    robot_contract.check(model)
+    try:
+        spec, model, notes = complete.complete(_spec(xml, text))
+        robot_contract.check(model)
+    except ValueError as error:
+        raise ValueError(faults.of_file(xml, text, error)) from None
     shapes, foot_of, foot_names = feet.named(robot_contract.names(model.ngeom, model.geom))
     home = model.key("home").qpos.copy()
     options = complete.options(spec)

@@ -26,7 +26,7 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
-from dynappo.description import contacts, feet
+from dynappo.description import contacts, feet, mjcf
 
 AT_FLOOR = 1e-3  # m above the lowest foot
 NAME = 100  # characters of a robot's or a joint's name
@@ -45,17 +45,31 @@ NEEDED = {  # without these there is nothing to train
 
 def check(model: mujoco.MjModel) -> None:
     """A ValueError, in a line, for a compiled file that breaks rules: of each what was found, what to do."""
+    _check_all(broken(model))
+
+
+def broken(model: mujoco.MjModel, pose: bool = True) -> list[str]:
+    """What breaks the rules of a compiled file, in words; those of the default pose unless not `pose`."""
     rules = _check_flags, _check_gravity, _check_motors, _check_state, _check_floor, _check_contype
     rules += _check_whole_feet, _check_one_foot, _check_moving_feet, _check_hold, _check_parts
-    rules += _check_touching, _check_home, _check_camera, _check_names
-    _check_all(*(rule(model) for rule in rules))
+    rules += (_check_touching, *[_check_home] * pose, _check_camera, _check_names)
+    return _all(*(rule(model) for rule in rules))
 
 
-def _check_all(*rules: Broken) -> None:
-    """ValueError with all that is broken of `rules`, so that a file is mended at once."""
-    broken = [text for rule in rules for text in rule if text]
+def _all(*rules: Broken) -> list[str]:
+    return list(dict.fromkeys(text for rule in rules for text in rule if text))
+
+
+def _check_all(broken: list[str]) -> None:
     if broken:
-        raise ValueError("; ".join(dict.fromkeys(broken)))
+        raise ValueError(in_words(broken))
+
+
+def in_words(broken: list[str]) -> str:
+    """Several faults in a line, with their number, so that a file is mended at once."""
+    if len(broken) == 1:
+        return broken[0]
+    return f"{len(broken)} faults: " + "; ".join(f"({i}) {one}" for i, one in enumerate(broken, 1))
 
 
 def _expect(ok, rule: str, found="") -> str:
@@ -70,8 +84,18 @@ def names(count: int, get) -> list[str]:
 
 def check_tree(spec: mujoco.MjSpec) -> None:
     """A free joint, hinges below it, and options; before anything is compiled."""
-    rules = _check_joints, _check_rigid, _check_flags, _check_gravity
-    _check_all(*(rule(spec) for rule in rules))
+    _check_all(broken_tree(spec) + broken_options(spec))
+
+
+def broken_tree(spec: mujoco.MjSpec) -> list[str]:
+    """What is wrong with the joints of a file, in words."""
+    return _all(_check_joints(spec))
+
+
+def broken_options(spec: mujoco.MjSpec) -> list[str]:
+    """What is wrong with a file's options, and what it has that no option allows, in words."""
+    rules = _check_rigid, _check_flags, _check_gravity, _check_timestep
+    return _all(*(rule(spec) for rule in rules))
 
 
 def _check_joints(spec: mujoco.MjSpec) -> Broken:
@@ -106,6 +130,11 @@ def _check_gravity(of: mujoco.MjModel | mujoco.MjSpec) -> Broken:
     yield _expect(gravity[2] < 0, rule, " ".join(f"{x:g}" for x in gravity))
 
 
+def _check_timestep(of: mujoco.MjModel | mujoco.MjSpec) -> Broken:
+    (low, high), found = mjcf.TIMESTEP, _options(of).timestep
+    yield _expect(low <= found <= high, f"a timestep of {low:g} to {high:g} s", f"{found:g}")
+
+
 def _options(of: mujoco.MjModel | mujoco.MjSpec):
     return of.opt if isinstance(of, mujoco.MjModel) else of.option
 
@@ -122,7 +151,7 @@ def _check_state(model: mujoco.MjModel) -> Broken:
 
 def check_motors(model: mujoco.MjModel) -> None:
     """ValueError unless each joint has one plain motor."""
-    _check_all(_check_motors(model))
+    _check_all(_all(_check_motors(model)))
 
 
 def _check_motors(model: mujoco.MjModel) -> Broken:
@@ -202,7 +231,8 @@ def _check_one_foot(model: mujoco.MjModel) -> Broken:
     bodies = model.geom_bodyid[shapes]
     crowded = [i for i in np.unique(bodies) if len(np.unique(foot_of[bodies == i])) > 1]
     found = ", ".join(f"more in {model.body(i).name}" for i in crowded)
-    yield _expect(not crowded, "one foot in a body", found)
+    rule = "one foot in a body; the shapes of a foot are NAME_foot1, NAME_foot2, ..."
+    yield _expect(not crowded, rule, found)
 
 
 def _check_moving_feet(model: mujoco.MjModel) -> Broken:

@@ -20,6 +20,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from dynappo.evaluate.spread import spread
 from dynappo.policy import episode as episode_lib
 from dynappo.policy import policy_file
 from dynappo.policy.episode import Player
@@ -71,31 +72,37 @@ def run(
     """Make `number` changes of command: the number of `falls`, and a description of each in `fell`.
 
     `fell` has the command before, the new one (m/s, m/s, rad/s), and the time from the change to the fall
-    (s). Equal seeds give equal results; with more changes, the first are the same. After each walk
-    `tell(done, total)` gets the number of changes.
+    (s). Equal seeds give equal results; with more changes, the first are the same. At first
+    and after each walk `tell(done, total)` gets the number of changes.
     """
     policy, dt = player.policy, episode_lib.period(player)
     act = policy_file.actor(policy.params, policy.activation)
-    fell, at_start, walks = [], 0, -(-number // PER_WALK)
-    for walk in range(walks):
-        tell(walk * PER_WALK, number)
+    walks = -(-number // PER_WALK)
+
+    def walked(walk):
+        """Whether it fell under the first command, and a description of each fall after a change."""
         changes = min(PER_WALK, number - walk * PER_WALK)
         times, commands = script(policy, dt, changes, np.random.default_rng([seed, walk]))
 
-        def now(t, times=times):
+        def now(t):
             return int(np.searchsorted(times[1:-1], t + dt / 2, "right"))
 
         found: dict[int, float] = {}  # command that the robot fell under -> when first
-        command_at = lambda t, now=now, commands=commands: commands[now(t)]  # noqa: E731
-        for t in falls(player, act, command_at, times[-1]):
+        for t in falls(player, act, lambda t: commands[now(t)], times[-1]):
             found.setdefault(now(t - dt), t)  # it ends a step that began under its command
-        at_start += found.pop(0, None) is not None
-        fell += [
+        at_start = found.pop(0, None) is not None
+        return at_start, [
             {"before": commands[i - 1].tolist(), "command": commands[i].tolist()}
             | {"after": float(t - times[i])}
             for i, t in found.items()
         ]
-    tell(number, number)
+
+    def told(done, _):
+        tell(min(done * PER_WALK, number), number)
+
+    every = spread(walked, range(walks), told)
+    fell = [one for _, some in every for one in some]
+    at_start = sum(first for first, _ in every)
     about = {"changes": number, "falls": len(fell), "walks": walks, "start_falls": at_start}
     return about | {"every": list(EVERY), "seed": seed, "fell": fell}
 
@@ -112,10 +119,10 @@ def tours(player: Player) -> list[dict[str, Any]]:
         episode_lib.tour(episode_lib.FILM_SECONDS),
         episode_lib.tour(episode_lib.PAGE_SECONDS),
     )
-    for_film = falls(player, act, film, episode_lib.FILM_SECONDS)
     seconds = ROUNDS * episode_lib.PAGE_SECONDS
     round_and_round = lambda t: np.clip(page(t % episode_lib.PAGE_SECONDS), low, high)  # noqa: E731
-    for_page = falls(player, act, round_and_round, seconds)
+    both = (film, episode_lib.FILM_SECONDS), (round_and_round, seconds)
+    for_film, for_page = spread(lambda one: falls(player, act, *one), both)
     return [
         {
             "tour": "film",

@@ -26,6 +26,7 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
+from dynappo.evaluate.spread import spread
 from dynappo.physics import actuators
 from dynappo.policy import episode as episode_lib
 from dynappo.policy import policy_file
@@ -133,15 +134,10 @@ def other_physics(player: Player) -> list[tuple[str, Player]]:
 def run(
     policy: Policy, player: Player, tell: Callable[[int, int], None] = lambda done, total: None
 ):
-    """The rows of all disturbances, and of the other physics; `tell(done, total)` after each."""
+    """The rows of all disturbances, and of the other physics; `tell(done, total)` at first and after each."""
     cases = [(stress, player) for stress in table(policy)]
     cases += [(Stress(name), other) for name, other in other_physics(player)]
-    rows = []
-    for stress, where in cases:
-        tell(len(rows), len(cases))
-        rows.append(measure(where, stress))
-    tell(len(cases), len(cases))
-    return rows
+    return spread(lambda case: measure(case[1], case[0]), cases, tell)
 
 
 def commands(policy: Policy) -> np.ndarray:

@@ -26,6 +26,7 @@ import mujoco
 import numpy as np
 
 from dynappo.evaluate import foot_motion
+from dynappo.evaluate.spread import spread
 from dynappo.policy import episode as episode_lib
 from dynappo.policy import policy_file, policy_source
 from dynappo.policy.episode import Player
@@ -180,7 +181,7 @@ def run(
     The grid is vx by vy without turning, and vx by yaw rate without going sideways (`held`); `all`
     is over these, its gait without the command to stand; `standing` is the row of that command, or None
     where it is not in the grid. `tell(done, total)` is called
-    before every episode, and at the end. `player` is the robot; None: the policy's own.
+    at first and after every episode. `player` is the robot; None: the policy's own.
     """
     player = player or policy_source.player(policy)[0]
     act, grid = policy_file.actor(policy.params, policy.activation), axes(policy, points)
@@ -189,11 +190,9 @@ def run(
     cells += [(x, held["vy"], turn) for x in grid["vx"] for turn in grid["wz"]]
     cells = [tuple(float(v) for v in cell) for cell in dict.fromkeys(cells)]
     ahead = [(speed, held["vy"], held["wz"]) for speed in speeds(policy)]
-    every, found = [*dict.fromkeys([*cells, *ahead])], {}
-    for command in every:
-        tell(len(found), len(every))
-        found[command] = record(player, act, command, seconds)
-    tell(len(every), len(every))
+    every = [*dict.fromkeys([*cells, *ahead])]
+    recordings = spread(lambda command: record(player, act, command, seconds), every, tell)
+    found = dict(zip(every, recordings, strict=True))
     some = [found[command] for command in cells]
     walks = [r for r in some if np.linalg.norm(r["command"]) > MIN_SPEED]
     fallen = sum(r["fall"] is not None for r in some)

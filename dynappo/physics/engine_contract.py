@@ -130,7 +130,7 @@ def _check_mjx(model: mujoco.MjModel) -> None:
     discrete = model.opt.integrator == mujoco.mjtIntegrator.mjINT_DISCRETE
     unseen += ["the integrator discrete"] * discrete  # it refuses in its step alone
     if unseen:
-        raise NotImplementedError(unseen[0])
+        raise NotImplementedError(", ".join(unseen))
     with contextlib.redirect_stdout(io.StringIO()):  # it prints two lines where warp-lang is absent
         from mujoco import mjx
     mjx.make_data(mjx.put_model(model, impl="jax"), impl="jax")

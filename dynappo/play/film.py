@@ -34,7 +34,7 @@ def size(text: str, out: Path | None) -> tuple[int, int]:
 def write(
     player: Player | render.Shown, episode: dict, out: Path, pixels: tuple[int, int] | None = None
 ) -> str:
-    """`render.film`, with its progress on a terminal; it takes a minute on two cores."""
+    """`render.film`, with its progress on a terminal; 12 s of film take half a minute on two cores."""
 
     def tell(share):
         doing = ", encoding" if share >= 1 else ""
@@ -42,7 +42,7 @@ def write(
 
     if not sys.stderr.isatty():
         if out.suffix != ".png":
-            print("rendering: a minute on two cores", file=sys.stderr, flush=True)
+            print("rendering: half a minute on two cores", file=sys.stderr, flush=True)
         return render.film(player, episode, out, pixels)
     tell(0.0)
     try:

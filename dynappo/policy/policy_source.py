@@ -142,13 +142,23 @@ def other(flags: argparse.Namespace) -> tuple[policy_file.Other, Path, str] | No
             f"--robot-xml={flags.robot_xml}: {path} is a policy of {found.config.env}"
         )
     seed = f", seed {flags.run_seed}" if flags.run_seed is not None else ""
-    return found, path, named(flags.what, path) + seed + _how_far(found)
+    return found, path, named(flags.what, path) + seed + _how_far(found.iteration, found.sim_steps)
 
 
-def _how_far(policy: Policy | policy_file.Other) -> str:
-    """Words on how far its run was, named as in metrics.csv; "" where that is not known."""
-    iteration = f", iteration {policy.iteration}" if policy.iteration is not None else ""
-    return iteration + (f", {policy.sim_steps:,} sim_steps" if policy.sim_steps is not None else "")
+def _how_far(iteration: int | None, sim_steps: int | None) -> str:
+    """Words on how far a policy's run was, named as in metrics.csv; "" where that is not known."""
+    text = f", iteration {iteration}" if iteration is not None else ""
+    return text + (f", {sim_steps:,} sim_steps" if sim_steps is not None else "")
+
+
+def _recorded(what: str, path: Path) -> str:
+    """As `_how_far`, of a bundled policy whose file does not say it: what the record beside it says."""
+    record = path.with_suffix(".json")
+    if what not in files.bundled() or not record.is_file():
+        return ""
+    known = json.loads(record.read_bytes())
+    far = _how_far(*(known.get(name) for name in policy_file.TRAINED))
+    return far and f"{far} by {record.name}"
 
 
 # ---- its robot
@@ -358,4 +368,5 @@ def of_flags(flags: argparse.Namespace) -> tuple[Policy, Path, str]:
     seeds = run.get("num_seeds") if isinstance(run, dict) else None
     if policy.seed is not None:
         text += f", seed {policy.seed}" + (f" of 0 to {seeds - 1}" if type(seeds) is int else "")
-    return policy, path, text + _how_far(policy) + own
+    far = _how_far(policy.iteration, policy.sim_steps) or _recorded(flags.what, path)
+    return policy, path, text + far + own

@@ -31,6 +31,7 @@ from dynappo.policy import asked
 SECONDS = 20.0  # of an episode
 SETTLE = 1.0  # s of it that are left out of the tracking error, as in dynappo/scores.py
 MOST_FALLS = 0.01  # share of the episodes
+FALLS_OFTEN = 0.1  # that nobody calls almost walking
 MOST_ERRORS = 0.2, 0.25  # m/s, rad/s
 SLOW, FAST = 1 / 2, 1 / 5  # of the error of a robot that stands still: at most, and always enough
 ROUNDING = 1e-6  # of a share of episodes, a mean in float32
@@ -240,9 +241,9 @@ def in_words(config, evaluation: Mapping[str, Any]) -> str:
     if speed or turn:
         share, enough = (error / speed, most[0] / speed) if speed else (yaw / turn, most[1] / turn)
         nearly = share < 0.33 if least is not None else share < 1.5 * enough
-        does = said.nearly if nearly else said.begins
+        does = said.nearly if nearly and fallen <= FALLS_OFTEN else said.begins
         if share > 0.8:
-            does = said.fails if fallen > 0.1 else said.stands
+            does = said.fails if fallen > FALLS_OFTEN else said.stands
     lacks = {}
     if least is not None:
         lacks[f"return {returns[0]:.2f} < {least:g}"] = low[0]

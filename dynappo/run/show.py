@@ -90,8 +90,8 @@ def unusual(out, text: str) -> None:
 
 
 @contextlib.contextmanager
-def live(out, config, given: Mapping[str, str] | None = None) -> Iterator[Callbacks]:
-    """A line on the console `out` that follows a training of one run or of several; yields its callbacks.
+def live(out, config, given: Mapping[str, str] | None = None, runs: int = 1) -> Iterator[Callbacks]:
+    """A line on the console `out` that follows a training of `runs` runs at once; yields its callbacks.
 
     `given` has the texts of fields that the user has set, for commands that are proposed. Where `out` is no
     terminal, some lines instead. It ends with the `with`, or at the callback `finished`.
@@ -139,7 +139,7 @@ def live(out, config, given: Mapping[str, str] | None = None) -> Iterator[Callba
             out.print(f"iteration {iteration:4d}  {line}", soft_wrap=True)
 
     def finishing():
-        text = at_the_end(config, program)
+        text = at_the_end(config, program, runs)
         bar.update(task, description=text or "writing")
         if text and not out.is_terminal:
             out.print(text, soft_wrap=True)
@@ -163,18 +163,18 @@ def describe_program(out, config, program: Program) -> None:
         unusual(out, note)
 
 
-def at_the_end(config, program: Program | None) -> str:
-    """What is done when all iterations are, and how much of it; "" if nothing is."""
-    run, does = config.run, []
+def at_the_end(config, program: Program | None, runs: int = 1) -> str:
+    """What is done when all iterations of `runs` runs are, and how much of it; "" if nothing is."""
+    run, does, each = config.run, [], f" of each of {runs} runs" * (runs > 1)
     if run.eval_envs:
         steps = run.eval_steps or config.task.episode_length
         seeds = f" of each of {run.num_seeds} seeds" if run.num_seeds > 1 else ""
-        does.append(f"evaluates {run.eval_envs} episodes of {steps} control steps{seeds}")
+        does.append(f"evaluates {run.eval_envs} episodes of {steps} control steps{seeds}{each}")
         if program:
             does[0] += f" on {devices.ENGINES[program.evaluated_on]}"
             does[0] += "" if program.ready() else ", which compiles first (on a CPU a while)"
     if run.video_seconds and _drawn(config):
-        does.append(f"films {run.video_seconds:g} s")
+        does.append(f"films {run.video_seconds:g} s{each}")
     return "; then ".join(does)
 
 

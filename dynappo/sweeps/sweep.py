@@ -129,7 +129,7 @@ def _train_group(out, group: list[Combination], todo: int, workdir, source, stop
     names = ", ".join(one.name for one in group[:4]) + ", ..." * (len(group) > 4)
     rest = f" of {todo} to do" if todo > len(group) else ""
     out.print(f"{len(group)}{rest}, at once: {names}", soft_wrap=True, markup=False)
-    with show.live(out, group[0].config) as callbacks:
+    with show.live(out, group[0].config, runs=len(group)) as callbacks:
         own = callbacks._replace(
             finished=training.nothing, blown_up=partial(_leave_blown_up, callbacks.say)
         )

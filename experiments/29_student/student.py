@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optax
 
 from dynappo import algorithm, scores
@@ -110,6 +111,32 @@ def check(teacher: policy_file.Policy, name: str, config, robot: robot_lib.Robot
         sees += ", a height scan" * (teacher.scan != "none")
         raise ConfigError(
             f"{of} sees {sees}; expected one that sees the state, 1 reading of {state}"
+        )
+    check_actions(teacher, of, policy_file.describe(config, robot))
+
+
+def check_actions(teacher: policy_file.Policy, of: str, student: policy_file.Policy) -> None:
+    """ConfigError where an action of the teacher is another motion of the student: another joint angle, other
+    gains, another time until the next."""
+    for name in ("action_scale", "kp", "kd", "default_pose"):
+        theirs, ours = (np.ravel(getattr(policy, name)) for policy in (teacher, student))
+        theirs, ours = np.broadcast_arrays(theirs, np.broadcast_to(ours, len(student.joint_names)))
+        off = np.flatnonzero(~np.isclose(theirs, ours, 1e-5, 1e-6))
+        if len(off):
+            joint, pose = student.joint_names[off[0]], name == "default_pose"
+            more = f" and at {len(off) - 1} joints more" * (len(off) > 1)
+            own = f"{theirs[0]:g}" if (theirs == theirs[0]).all() else "the teacher's"
+            cure = "take a teacher of this robot's file" if pose else f"--set task.{name}={own}"
+            field = name if pose else f"task.{name}"
+            raise ConfigError(
+                f"{of} was trained with {field} {theirs[off[0]]:g} at {joint}, and the student has "
+                f"{ours[off[0]]:g}{more}: the same action would be another motion; {cure}"
+            )
+    theirs, ours = (policy.timestep * policy.substeps for policy in (teacher, student))
+    if not np.isclose(theirs, ours):
+        raise ConfigError(
+            f"{of} acts every {theirs:g} s and the student every {ours:g} s, by physics.timestep and "
+            "physics.substeps: the same action would be another motion; take the teacher's"
         )
 
 

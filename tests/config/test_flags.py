@@ -54,7 +54,7 @@ ENDS = {  # what an action raises, exit status, the line after "dynappo: "
         2,
         "a cannot be used (Permission denied); name another file or folder\n",
     ),
-    "very much of it": (ConfigError("x" * 9999), 2, "x" * 750 + " ... " + "x" * 750 + "\n"),
+    "very much of it": (ConfigError("x" * 9999), 2, "x" * 2000 + " ... " + "x" * 2000 + "\n"),
 }
 
 

@@ -7,10 +7,13 @@ import copy
 import re
 import warnings
 
+import mujoco
 import numpy as np
 import pytest
+from answers import refused
 
 from dynappo import config
+from dynappo.adopt import source
 from dynappo.config import files
 from dynappo.description import robot, robot_contract
 
@@ -106,7 +109,7 @@ REFUSED = {
     ),
     "a foot in another leg": (
         move("FL_foot", "FR_calf"),
-        "one foot in a body, found more in FR_calf",
+        "one foot in a body; the shapes of a foot are NAME_foot1, NAME_foot2, ..., found more in FR_calf",
     ),
     "a foot in the base": (
         move("FL_foot", "trunk"),
@@ -345,34 +348,169 @@ COMPLETED = {
 @pytest.mark.parametrize("case", REFUSED)
 def test_the_message_names_the_rule_and_what_breaks_it(tmp_path, case):
     change, expected = REFUSED[case]
-    assert message(tmp_path, change).startswith(f"expected {expected}")
+    assert f"expected {expected}" in message(tmp_path, change)
 
 
 SPUR = '<geom name="FL_spur" class="collision" type="box" size="0.1 0.1 0.3"/>'
 
 
-def test_all_that_is_wrong_is_said_at_once(tmp_path):
-    """With the tree: options. Where the tree is right: feet, parts, motors."""
-    change = edit(
-        (HIP, f'{HIP} type="slide"'),
-        ('gravity="0 0 -9.81"', 'gravity="0 0 9.81"'),
+# MuJoCo stops at each of these, some where it reads the file, some where it compiles it
+PLUGIN = (
+    '<extension><plugin plugin="mujoco.elasticity.cable"><instance name="c"/></plugin></extension>'
+)
+ROPE = '<flex name="rope" dim="1" body="FL_calf FR_calf" element="0 1" radius="0.01"/>'
+EVERY_FAULT = chain(
+    move("FR_foot", "trunk"),
+    edit(
+        ("<worldbody>", f"{PLUGIN}<wrong\n/><worldbody>"),
+        ('<camera name="track"', '<plugin instance="c"/><camera name="track"'),
+        ("</worldbody>", f"{DOOR}</worldbody><deformable>{ROPE}</deformable>"),
         ("<flag eulerdamp", "<flag contact='disable' limit='disable' eulerdamp"),
-    )
-    assert message(tmp_path, change) == (
-        "expected hinge joints after the free one; make hinges of, or fix, all others, found FL_hip_joint "
-        "(slide); expected no <flag> in <option> that disables what a robot needs, found contact, limit; "
-        "expected gravity that points down (option gravity), found 0 0 9.81"
-    )
+        ('gravity="0 0 -9.81"', 'gravity="0 0 9.81"'),
+        ('timestep="0.005"', 'timestep="0.5"'),
+        ('<freejoint name="root"/>', '<joint name="root"/>'),
+        (HIP, f'{HIP} type="slide" colour="red"'),
+        (THIGH, f'{THIGH} type="hing" damping="none"'),
+        ('<joint name="FR_hip_joint" class="hip"', '<joint name="FR_hip_joint" class="hipp"'),
+        ('<joint name="FR_calf_joint"', '<joint axis="0 0 0" name="FR_calf_joint"'),
+        ('<joint name="RL_hip_joint"', '<joint name="RL&#10;hip"'),
+        (MOTOR, MOTOR.replace('joint="FL', 'joint="XX')),
+        (f"{FOOT}/>", f'{FOOT} type="box" size="0.1"/><geom name="RL_foot2" class="foot"/>'),
+        ('mass="0.195862"', 'mass="0"'),
+    ),
+)
+SAID_OF_EVERY_FAULT = [
+    "Schema violation: unrecognized element: wrong (line ",
+    "Schema violation: unrecognized attribute: 'colour': joint (line ",
+    "invalid keyword: 'hing': joint (line ",
+    "bad format in attribute 'damping': joint (line ",
+    "unknown default class name 'hipp': joint (line ",
+    "expected one robot, found trunk, door; take the others out of the file",
+    "expected a free joint on the base, found root on trunk; give the base a freejoint",
+    "expected hinge joints after the free one; make hinges of, or fix, all others, found FL_hip_joint ",
+    "expected rigid bodies only, found 1 flex",
+    "expected no plugins, found 1",
+    "expected no <flag> in <option> that disables what a robot needs, found contact, limit",
+    "expected gravity that points down (option gravity), found 0 0 9.81",
+    "expected a timestep of 1e-05 to 0.1 s, found 0.5",
+    "mass and inertia of moving bodies must be larger than mjMINVAL: FL_calf (line ",
+    "axis too small in joint: FR_calf_joint (line ",
+    "size 1 must be positive in geom: FL_foot (line ",
+    "unknown transmission target 'XX_thigh_joint': FL_thigh_joint (line ",
+    "unknown transmission target 'RL_hip_joint': RL_hip_joint (line ",
+    "expected the shapes of the foot RL in one body; name the others differently, found FL_calf, RL_calf",
+    "expected one foot in a body; the shapes of a foot are NAME_foot1, NAME_foot2, ..., found more in ",
+    "expected feet in bodies that joints move, not in the base, found FR_foot",
+    r"expected names of joints of at most 100 plain characters, found 'RL\nhip'",
+]
+
+
+def faults_in(text):
+    """The faults of a message, each without its number; the number before them is theirs."""
+    count, _, rest = text.partition(" faults: ")
+    found = re.split(r"(?:^|; )\(\d+\) ", rest)[1:]
+    assert len(found) == int(count)
+    return found
+
+
+@pytest.mark.parametrize("load", [robot.load_xml, source.read])
+def test_all_that_is_wrong_is_said_at_once(load, tmp_path):
+    """Of a file with a fault of every kind, to a run that names it and to `adopt`. Nothing of the default
+    pose, which nobody knows."""
+    path = tmp_path / "mine.xml"
+    path.write_text(EVERY_FAULT(GO1))
+    found = faults_in(refused(load, path).removeprefix(f"{path}: "))
+    for one in SAID_OF_EVERY_FAULT:
+        assert sum(one in fault for fault in found) == 1, one
+    assert len(found) == len(SAID_OF_EVERY_FAULT), found
+    lines = path.read_text().split("\n")
+    for fault in found:  # the lines are the file's
+        for name, line in re.findall(r"(\w+) \(line (\d+)\)", fault):
+            assert name in lines[int(line) - 1], fault
+
+
+def test_what_leaves_the_pose_as_it_is_hides_nothing_of_it(tmp_path):
     change = chain(
         move("FR_foot", "trunk"),
-        edit((f"{FOOT}/>", f'{FOOT}/><geom name="RL_foot2" class="foot"/>{SPUR}')),
+        edit(
+            ('gravity="0 0 -9.81"', 'gravity="0 0 9.81"'),
+            ('mass="0.195862"', 'mass="0"'),
+            (f"{FOOT}/>", f"{FOOT}/>{SPUR}"),
+        ),
     )
-    assert message(tmp_path, change) == (
-        "expected the shapes of the foot RL in one body; name the others differently, found FL_calf, RL_calf"
-        "; expected one foot in a body, found more in FL_calf; expected feet in bodies that joints move, not "
-        "in the base, found FR_foot; expected no part but the feet at the floor in the home pose; name it "
-        "NAME_foot, or give a keyframe home, found FL_spur"
+    found = faults_in(message(tmp_path, change))
+    assert [one.split(", found")[0] for one in found[:1] + found[2:]] == [
+        "expected gravity that points down (option gravity)",
+        "expected feet in bodies that joints move, not in the base",
+        "expected no part but the feet at the floor in the home pose; name it NAME_foot, or give a keyframe "
+        "home",
+    ]
+    assert "moving bodies must be larger than mjMINVAL: FL_calf (line " in found[1]
+    assert found[1].endswith("); give each an inertial, or shapes that have a mass")
+
+
+def test_where_there_is_no_robot_that_is_all(tmp_path):
+    assert faults_in(
+        message(tmp_path, lambda _: "<mujoco><worldbody><geom size='1'/></worldbody></mujoco>")
+    ) == [
+        "expected a free joint on the base, before all other joints, found no joint",
+        "expected hinge joints, found none",
+    ]
+
+
+UNKNOWN_POSE = {
+    "a joint of another kind": (THIGH, f'{THIGH} type="slide"'),
+    "a class that is not there": (THIGH, THIGH.replace('"thigh"', '"thighs"')),
+    "an axis of no length": (THIGH, f'{THIGH} axis="0 0 0"'),
+    "a foot of no size": (f"{FOOT}/>", f'{FOOT} type="box" size="0.1"/>'),
+}
+
+
+@pytest.mark.parametrize("case", UNKNOWN_POSE)
+def test_where_a_limb_may_be_elsewhere_nothing_is_said_of_the_pose(case, tmp_path):
+    foot = '<geom name="FR_foot" class="foot"/>'
+    said = message(tmp_path, edit((foot, foot + SPUR), UNKNOWN_POSE[case]))
+    assert "pose" not in said and " faults: " not in said
+
+
+def test_where_nothing_more_can_be_read_mujocos_error_is_all(tmp_path):
+    """XML that ends in the middle, and a line that may be another file's."""
+    change = edit(("</worldbody>", "</worldbdy>"), ('gravity="0 0 -9.81"', 'gravity="0 0 9.81"'))
+    assert message(tmp_path, change).startswith("XML parse error 14")
+    (tmp_path / "more.xml").write_text('<mujoco><option colour="red"/></mujoco>')
+    change = edit(("<compiler", '<include file="more.xml"/><compiler'))
+    assert "unrecognized attribute: 'colour'" in message(tmp_path, change)
+
+
+def test_every_rule_for_a_compiled_robot_is_broken_at_once():
+    """One model that breaks what `complete` mends, and what it does not: no rule is left out."""
+    change = chain(
+        move("FR_foot", "trunk"),
+        cut(r"<camera[^>]*/>"),
+        edit(
+            ('gravity="0 0 -9.81"', 'gravity="0 0 9.81"'),
+            ("<flag eulerdamp", "<flag contact='disable' eulerdamp"),
+            (MOTOR, MOTOR.replace("<motor", '<general dyntype="filter" dynprm="1"')),
+            (FLOOR, f'{FLOOR} pos="0 0 1"'),
+            (
+                "</worldbody>",
+                '<geom name="wall" contype="1" conaffinity="1" condim="6" size="1"/></worldbody>',
+            ),
+            (f"{FOOT}/>", f'{FOOT} priority="0"/><geom name="RL_foot2" class="foot"/>{SPUR}'),
+            ('class="collision" type="box"', 'class="collision" type="ellipsoid"'),
+            ('<joint name="RL_hip_joint"', '<joint name="RL&#10;hip"'),
+            ('joint="RL_hip_joint"', 'joint="RL&#10;hip"'),
+        ),
     )
+    model = mujoco.MjModel.from_xml_string(change(GO1))
+    with pytest.raises(ValueError) as error:
+        robot_contract.check(model)
+    found = faults_in(str(error.value))
+    of_spec = {"_check_all", "_check_joints", "_check_rigid", "_check_timestep"}
+    rules = {name for name in vars(robot_contract) if name.startswith("_check_")} - of_spec
+    for name in rules:
+        texts = [text for text in getattr(robot_contract, name)(model) if text]
+        assert texts and set(texts) <= set(found), name
 
 
 def test_each_thing_that_breaks_a_rule_is_named_and_each_rule_of_a_subject():
@@ -387,19 +525,19 @@ def test_each_thing_that_breaks_a_rule_is_named_and_each_rule_of_a_subject():
     damped = (
         f"armature and damping at the joints, not at motors, found some at {model.joint(8).name}"
     )
-    assert str(error.value) == f"{expected}{first} and 1 more; expected {damped}"
+    assert faults_in(str(error.value)) == [f"{expected}{first} and 1 more", f"expected {damped}"]
     model = copy.copy(robot.load("go1").mj_model)
     model.key_qpos[0, 2] -= 0.4
     part = robot_contract.parts_of(model)[0]
     model.geom_condim[part], model.geom_bodyid[part] = 6, 0
     with pytest.raises(ValueError) as error:
         robot_contract.check(model)
-    rules = str(error.value).split("; expected ")
-    assert [rule.split(", found")[0] for rule in rules] == [
+    assert [rule.split(", found")[0] for rule in faults_in(str(error.value))] == [
         "expected what touches the floor (conaffinity) to be on the robot",
-        "condim 1 or 3 where something touches the floor",
-        "the keyframe home with the lowest foot on the floor",
-        "no part but the feet at the floor in the home pose; name it NAME_foot, or give a keyframe home",
+        "expected condim 1 or 3 where something touches the floor",
+        "expected the keyframe home with the lowest foot on the floor",
+        "expected no part but the feet at the floor in the home pose; name it NAME_foot, or give a keyframe "
+        "home",
     ]
 
 

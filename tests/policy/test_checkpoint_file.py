@@ -13,6 +13,7 @@ from answers import refused, shell
 from toy_policy import GO1, actor, save
 
 from dynappo import config as config_lib
+from dynappo.config import files
 from dynappo.policy import checkpoint_file, policy_source
 from dynappo.run import checkpoint
 from dynappo.types import Learner
@@ -91,6 +92,21 @@ def test_it_is_told_how_far_the_run_was(tmp_path, monkeypatch):
     about = tmp_path / "old" / "checkpoints" / "10" / "about" / "metadata"
     about.write_text(json.dumps(json.loads(about.read_text()) | {"sim_steps": "many"}))
     assert "sim_steps is 'many', expected a number" in refused(policy_source.load, "old")
+
+
+def test_of_a_bundled_policy_its_record_tells_how_far_the_run_was(tmp_path):
+    """Their files do not say it. Nothing is said of a copy, and nothing where nothing is recorded."""
+    none = {"run_seed": None, "robot_xml": None, "terms": None}
+    for name in files.bundled():
+        policy, path, told = policy_source.of_flags(SimpleNamespace(what=name, **none))
+        known = json.loads(path.with_suffix(".json").read_text())
+        far = f", iteration {known['iteration']}, {known['sim_steps']:,} sim_steps"
+        if policy.iteration is None:
+            far += f" by {path.stem}.json"
+        assert told.endswith(far)
+    copy = shutil.copy(files.find("robots", "go1/policy.npz"), tmp_path)
+    shutil.copy(files.find("robots", "go1/policy.json"), tmp_path)
+    assert "iteration" not in policy_source.of_flags(SimpleNamespace(what=copy, **none))[2]
 
 
 def test_a_seed_that_is_not_there_is_one_line(tmp_path):

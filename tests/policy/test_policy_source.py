@@ -168,7 +168,8 @@ def test_a_robot_is_written_as_one_file(tmp_path, monkeypatch, capsys):
     capsys.readouterr()
     Path("none.xml").write_text("<mujoco/>")
     line = mistake(export_command.main, ["go1", "--robot-xml=none.xml", "--out=b.npz"], capsys)
-    assert "--robot-xml=none.xml: expected" in line and not Path("b.npz").exists()
+    assert "--robot-xml=none.xml: 2 faults: (1) expected a free joint on the base" in line
+    assert not Path("b.npz").exists()
     line = mistake(export_command.main, ["go1", "--robot-xml=no.xml", "--out=b.npz"], capsys)
     assert "--robot-xml=no.xml: no such file" in line
 

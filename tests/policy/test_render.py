@@ -84,13 +84,36 @@ def filmed(standing, tmp_path_factory):
 def test_a_film_plays_at_the_speed_of_the_robot_and_is_not_blank(filmed):
     """10 rows of 20 ms are 0.2 s of film; a robot, a floor and a sky have many colours."""
     count, width, height, frame = probe(filmed)
-    assert count == 0.2 * render.FPS and (width, height) == (render.WIDTH, render.HEIGHT)
+    assert count == 0.2 * 25 and (width, height) == (render.WIDTH, render.HEIGHT)
     assert frame.std() > 10 and 20 < frame.mean() < 235
     assert len(np.unique(frame.reshape(-1, 3) // 16, axis=0)) > 30
     # the middle of the picture, where the robot is, differs from its edge
     rows, columns = frame.shape[:2]
     middle = frame[rows // 3 : 2 * rows // 3, columns // 3 : 2 * columns // 3].astype(float)
     assert abs(middle.mean() - frame[: rows // 6].astype(float).mean()) > 3
+
+
+def test_a_small_picture_has_less_detail_which_nobody_sees():
+    """By half the height: corners by its root, shadows by itself; from the file's height on, as it is."""
+    for share, expected in ((1.0, (28, 16, 4096)), (2.0, (28, 16, 4096)), (0.5, (20, 11, 2048))):
+        model = mujoco.MjModel.from_xml_path(str(GO1.xml))
+        render.coarser(model, share)
+        quality = model.vis.quality
+        assert (quality.numslices, quality.numstacks, quality.shadowsize) == expected
+
+
+def test_a_small_picture_looks_as_with_all_detail(standing, filmed, tmp_path):
+    """By a file that is for pictures of this size, which keeps its detail: nearly all pixels are the same."""
+    whole = GO1.xml.read_text().replace(
+        'offwidth="1280" offheight="720"', 'offwidth="640" offheight="360"'
+    )
+    pictures = []
+    for name, text in (("less", GO1.played), ("whole", whole)):
+        shown = render.Shown(GO1.xml, text, GO1.base_body)
+        assert render.film(shown, standing, tmp_path / f"{name}.png", (640, 360)) == ""
+        pictures.append(read(tmp_path / f"{name}.png"))
+    off = np.abs(pictures[0] - pictures[1]).max(-1)
+    assert off.max() > 0 and off.mean() < 0.004 and (off > 0.1).mean() < 0.005
 
 
 @pytest.mark.slow

@@ -69,6 +69,7 @@ SAID = {  # (return, tracking error, yaw error, fall rate) of commands from -1 t
     "one of a thousand": ((42.0, 0.05, 0.05, 0.001), "walks, turns, seldom falls"),
     "one of a hundred": ((38.0, 0.1, 0.5, 0.01), "walks, does not turn yet, seldom falls"),
     "two of a hundred": ((42.0, 0.05, 0.05, 0.02), "almost walks; falls 2.0 % > 1 %"),
+    "half of a hundred": ((42.0, 0.05, 0.05, 0.5), "begins to walk; falls 50.0 % > 1 %"),
     "nearly": ((37.99, 0.1, 0.1, 0.0), "almost walks; return 37.99 < 38"),
     "falls": ((-1.0, NAN, NAN, 1.0), "falls at once"),
     "no return": ((None, 0.1, 0.1, 0.0), "almost walks; return nan < 38"),

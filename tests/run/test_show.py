@@ -132,6 +132,17 @@ def test_nothing_is_announced_that_is_not_done(fields, said):
     assert text.getvalue() == said
 
 
+def test_of_runs_that_train_together_each_is_evaluated_and_filmed():
+    text = io.StringIO()
+    out = Console(file=text, width=200)
+    with show.live(out, config("configs/go1.py:dyna4", num_seeds=2), runs=3) as callbacks:
+        callbacks.finishing()
+    assert text.getvalue() == (
+        "evaluates 1000 episodes of 1000 control steps of each of 2 seeds of each of 3 runs; then films 12 s "
+        "of each of 3 runs\n"
+    )
+
+
 def test_without_a_gpu_it_is_said_before_anything_is_compiled():
     """And what is made for a CPU; nothing of it where C MuJoCo steps the robots."""
     laptop = f"made for a CPU: {shell_lib.line('train', '--config=go1:laptop')}"

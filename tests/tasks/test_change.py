@@ -311,28 +311,28 @@ def test_the_wheel_does_what_the_page_says_in_an_empty_folder(tmp_path):
 
     four = "motor_work, lift_feet, base_height, gait_clock, too_low, ahead_or_turn"
     assert f"with terms of my_terms.py: {four}" in run(
-        command, *SHORT, "--config.run.num_iterations=2", "--workdir=runs/mine"
+        command, *SHORT, "--config.run.num_iterations=2", "--workdir=runs/terms"
     )
     longer = "--config.run.num_iterations=4"
     told = "--config.task.command_x=(0.0,2.0)"
     assert "goes on from iteration 2" in run(train, told, *SHORT, longer)
-    assert "--terms=FILE" in run("dynappo train --workdir=runs/mine", status=2)
-    head = (folder / "runs/mine/metrics.csv").read_text().split("\n")[0].split(",")
+    assert "--terms=FILE" in run("dynappo train --workdir=runs/terms", status=2)
+    head = (folder / "runs/terms/metrics.csv").read_text().split("\n")[0].split(",")
     assert {"reward_motor_work", "ended_too_low"} <= set(head)
     assert "with my_terms.py" in run(play, "--seconds=1")
-    assert "name the file" in run("dynappo play runs/mine --out=walk.html", status=2)
+    assert "name the file" in run("dynappo play runs/terms --out=walk.html", status=2)
     run(export)
     assert "with my_terms.py" in run(evaluate, "--fast")
-    found = json.loads((folder / "runs/mine/evaluation/evaluation.json").read_text())
+    found = json.loads((folder / "runs/terms/evaluation/evaluation.json").read_text())
     assert len(found["sweep"]["commands"]) > 9
     # the task's episodes alone: all of `evaluate` takes minutes on two busy cores
     code = "from pathlib import Path; from dynappo.evaluate import episodes; "
-    code += "from dynappo.policy import policy_source as s; policy = s.load('runs/mine')[0]; "
+    code += "from dynappo.policy import policy_source as s; policy = s.load('runs/terms')[0]; "
     code += "policy = s.with_terms(policy, Path('my_terms.py'))[0]; "
     code += "print(episodes.run(policy, 2)['episodes'], 'episodes')"
     assert "2 episodes" in run("dynappo " + shlex.join(["-c", code]))
     swept = "--sweep=task.weights.motor_work=-1e-3,-2e-3"
-    out = run(train.replace("runs/mine", "runs/sweep"), swept, *SHORT, longer)
+    out = run(train.replace("runs/terms", "runs/sweep"), swept, *SHORT, longer)
     assert "1 program to compile" in out and "--terms=my_terms.py" in out
     (folder / "my_terms.py").write_text((folder / "my_terms.py").read_text() + "# other\n")
     assert "the code of its terms, my_terms.py, is another now" in run(
