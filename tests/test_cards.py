@@ -1,0 +1,121 @@
+"""experiments/cards.py: lanes of a plan on the GPUs of a host; and that what runs next can run."""
+
+import argparse
+import importlib
+import os
+import shlex
+import subprocess
+import sys
+import tarfile
+import time
+from pathlib import Path
+
+import pytest
+
+from experiments import cards
+
+ROOT = Path(__file__).resolve().parent.parent
+PLAN = ROOT / "experiments/next.txt"
+
+
+def test_lanes_run_side_by_side_and_end_in_time(tmp_path, monkeypatch):
+    """A lane's commands come one after the other; one that takes too long ends, with what it started."""
+    child = f"import subprocess as s, time; s.Popen(['sleep', '77']); open('{tmp_path}/began', 'w')"
+    child += "; time.sleep(77)"
+    plan = tmp_path / "plan.txt"
+    plan.write_text(
+        f"""# a comment
+a 0a 2 {sys.executable} -c "{child}"
+a 0a 9 sh -c 'echo card $CUDA_VISIBLE_DEVICES in OUT > OUT/second.txt'
+a 1a 9 false
+b 0a 9 touch OUT/never.txt
+"""
+    )
+    out = tmp_path / "out"
+    monkeypatch.setattr(sys, "argv", ["cards.py", str(out), str(plan), "a", "--seconds", "60"])
+    began = time.monotonic()
+    cards.main()
+    assert time.monotonic() - began < 30
+    assert (tmp_path / "began").exists()
+    running = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True).stdout
+    assert "sleep 77" not in running.splitlines()
+    assert (out / "second.txt").read_text() == f"card 0 in {out}\n"
+    assert "ended after" in (out / "0a.log").read_text()
+    assert (out / "1a.log").read_text().endswith(", status 1\n")
+    with tarfile.open(f"{out}.tar.xz") as tar:
+        assert {Path(name).name for name in tar.getnames()} == {
+            "out",
+            "0a.log",
+            "1a.log",
+            "second.txt",
+        }
+
+
+def test_where_no_time_is_left_a_command_does_not_begin(tmp_path):
+    line = cards.Line("a", "0a", 9.0, f"touch {tmp_path}/never")
+    cards.run_lane(tmp_path, [line], time.monotonic() - 1, 1)
+    assert "has not run" in (tmp_path / "0a.log").read_text()
+    assert not (tmp_path / "never").exists()
+
+
+def test_cards_have_cores_of_their_own():
+    every = os.sched_getaffinity(0)
+    shares = [cards.cores(card, 2) for card in (0, 1)]
+    assert set(shares[0]) | set(shares[1]) <= every
+    assert len(every) < 2 or not set(shares[0]) & set(shares[1])
+    assert set(cards.cores(0, 1000)) == every
+
+
+@pytest.mark.parametrize("text", ["a 0a soon true", "a 0a", "a x 9 true"])
+def test_a_line_that_is_none_is_refused_with_its_number(tmp_path, text):
+    plan = tmp_path / "plan.txt"
+    plan.write_text(f"a 0a 9 true\n{text}\n")
+    with pytest.raises(SystemExit, match=rf"{plan}:2 is .*expected PART LANE SECONDS COMMAND"):
+        list(cards.read(plan))
+
+
+def test_of_jobs_only_those_run_whose_names_begin_as_asked(tmp_path, monkeypatch):
+    less = importlib.import_module("experiments.21_less.run")
+    jobs, started = tmp_path / "jobs.txt", []
+    jobs.write_text("go1-a go1:best\ngo1-b go1:best\ngo2-a go2:best\n")
+    (tmp_path / "go1-b.csv").touch()  # is there already
+
+    def run(command, **_):
+        started.append(command[-1])
+        return subprocess.CompletedProcess(command, 0, "", "")
+
+    monkeypatch.setattr(less.subprocess, "run", run)
+    for names, expected in (
+        (["go1"], ["go1-a"]),
+        ([], ["go1-a", "go2-a"]),
+        (["x", "go2"], ["go2-a"]),
+    ):
+        monkeypatch.setattr(sys, "argv", ["run.py", str(tmp_path), str(jobs), *names])
+        started.clear()
+        less.main()
+        assert started == expected
+
+
+def test_what_runs_next_names_scripts_and_jobs_that_there_are():
+    """And a card whose seconds count is one lane's alone."""
+    lines = list(cards.read(PLAN))
+    assert len(lines) > 5
+    for line in lines:
+        program, script, *rest = shlex.split(line.command)
+        assert program == "python3" and (ROOT / script).is_file()
+        if not script.endswith("/run.py"):
+            continue
+        parser = argparse.ArgumentParser()
+        parser.add_argument("out")
+        parser.add_argument("jobs")
+        parser.add_argument("names", nargs="*")
+        given, _ = parser.parse_known_args(rest)
+        jobs = [
+            job.split()[0] for job in (ROOT / given.jobs).read_text().splitlines() if job.strip()
+        ]
+        for name in given.names:
+            if not name.isdigit():  # of a flag
+                assert any(job.startswith(name) for job in jobs), (line, name)
+        if "30_row_cost" in script:
+            shared = {x.lane for x in lines if (x.part, x.card) == (line.part, line.card)}
+            assert shared == {line.lane}
