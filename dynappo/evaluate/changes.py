@@ -110,17 +110,17 @@ def run(
 def tours(player: Player) -> list[dict[str, Any]]:
     """Play the tour of `play`'s film, and that of the live page, which repeats: when the robot `fell_at` (s).
 
-    The page keeps commands within the ranges of training. `fell_at` is empty if the robot never falls.
+    Both keep commands within the ranges of training. `fell_at` is empty if the robot never falls.
     """
     policy = player.policy
     act = policy_file.actor(policy.params, policy.activation)
-    low, high = np.array([policy.command_x, policy.command_y, policy.command_yaw]).T
+    ranges = policy.command_x, policy.command_y, policy.command_yaw
     film, page = (
-        episode_lib.tour(episode_lib.FILM_SECONDS),
-        episode_lib.tour(episode_lib.PAGE_SECONDS),
+        episode_lib.tour(length, ranges)
+        for length in (episode_lib.FILM_SECONDS, episode_lib.PAGE_SECONDS)
     )
     seconds = ROUNDS * episode_lib.PAGE_SECONDS
-    round_and_round = lambda t: np.clip(page(t % episode_lib.PAGE_SECONDS), low, high)  # noqa: E731
+    round_and_round = lambda t: page(t % episode_lib.PAGE_SECONDS)  # noqa: E731
     both = (film, episode_lib.FILM_SECONDS), (round_and_round, seconds)
     for_film, for_page = spread(lambda one: falls(player, act, *one), both)
     return [

@@ -215,12 +215,15 @@ def run(flags) -> None:
     asked = policy_source.FLOOR if flags.robot_xml and not flags.ground else flags.ground
     field, on = policy_source.ground_or_own(policy, asked)
     player, other = policy_source.player(policy, flags.robot_xml, flags.keep_joints, field)
+    ranges = command_script.ranges_of(policy)
+    if flags.command is None:
+        commands = command_script.within(ranges, commands)
     seconds = flags.seconds or commands.seconds
     if out is None:
         viewer.check_display()
         if flags.command is None:  # to be steered from standing
             commands = commands._replace(at=lambda t: np.zeros(3), text=viewer.KEYS)
-    notes = [other, command_script.outside(command_script.ranges_of(policy), commands)]
+    notes = [other, command_script.outside(ranges, commands)]
     print(shell.pasted(f"dynappo plays {policy.robot}: {acts}{on}; {commands.text}"))
     if flags.robot_xml:
         ms = player.model.opt.timestep * 1e3

@@ -99,6 +99,16 @@ def ranges_of(policy: Policy) -> np.ndarray:
     return np.array([policy.command_x, policy.command_y, policy.command_yaw])
 
 
+def within(ranges: np.ndarray, tour: Commands) -> Commands:
+    """The tour, with each number in `ranges` [3, 2] of training: a biped that learned on rough ground was never
+    told to walk aside."""
+    rows = np.clip(tour.rows, *ranges.T)
+    if (rows == tour.rows).all():
+        return tour
+    text = f"{tour.text}, as far as it was trained"
+    return tour._replace(at=episode_lib.tour(tour.seconds, ranges), rows=rows, text=text)
+
+
 def outside(ranges: np.ndarray, wanted: Commands) -> str:
     """A line on a command that was not trained, outside of `ranges` [3, 2], or ""."""
     for axis, (low, high), column in zip(AXES, ranges, wanted.rows.T, strict=True):

@@ -537,7 +537,10 @@ def measures(player: Player, episode: dict[str, np.ndarray]) -> dict[str, float 
     }
 
 
-def tour(seconds: float) -> Callable[[float], np.ndarray]:
-    """`t -> command`: ahead, a turn, sideways, fast ahead."""
+def tour(seconds: float, ranges=None) -> Callable[[float], np.ndarray]:
+    """`t -> command`: ahead, a turn, sideways, fast ahead; within `ranges` [3, 2], those of training."""
     ends = np.cumsum([share for share, _ in TOUR]) * seconds
-    return lambda t: np.array(TOUR[min(int(np.searchsorted(ends, t, "right")), len(TOUR) - 1)][1])
+    rows = np.array([row for _, row in TOUR])
+    if ranges is not None:
+        rows = np.clip(rows, *np.transpose(ranges))
+    return lambda t: rows[min(int(np.searchsorted(ends, t, "right")), len(rows) - 1)]

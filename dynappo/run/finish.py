@@ -58,7 +58,9 @@ def finish(
         try:
             if config.robot:
                 act = policy_file.actor(params, config.ppo.activation)
-                episode = render.simulate(program.robot, config, act, render.tour(seconds), seconds)
+                task = config.task
+                tour = render.tour(seconds, (task.command_x, task.command_y, task.command_yaw))
+                episode = render.simulate(program.robot, config, act, tour, seconds)
                 problem = render.film(program.robot, episode, workdir / "video.mp4")
             else:
                 problem = _film_of_task(config, workdir)

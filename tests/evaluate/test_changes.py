@@ -185,7 +185,12 @@ def test_the_tours_are_those_that_are_shown(bodies, monkeypatch):
     film, page = changes.tours(narrow)
     assert film == {"tour": "film", "seconds": 12.0, "fell_at": [1.0]}
     assert page == {"tour": "live page", "seconds": 32.0, "fell_at": [1.0, 2.0]}
-    played = command_script.commands(None, None)
+    plain = command_script.commands(None, None)
+    assert command_script.within(command_script.ranges_of(player.policy), plain) is plain
+    played = command_script.within(command_script.ranges_of(narrow.policy), plain)
+    assert (
+        played.text == f"{plain.text}, as far as it was trained" and played.rows[:, 0].max() == 0.7
+    )
     assert played.seconds == 12.0 == loading.load("go1:best").run.video_seconds
     shown = live.Live(narrow, lambda obs: np.zeros(12))
     live.tour(shown, True)
