@@ -100,8 +100,8 @@ def ranges_of(policy: Policy) -> np.ndarray:
 
 
 def within(ranges: np.ndarray, tour: Commands) -> Commands:
-    """The tour, with each number in `ranges` [3, 2] of training: a biped that learned on rough ground was never
-    told to walk aside."""
+    """The tour, with each number in `ranges` [3, 2] of training: a biped on rough ground was never told to
+    walk aside."""
     rows = np.clip(tour.rows, *ranges.T)
     if (rows == tour.rows).all():
         return tour
