@@ -56,13 +56,14 @@ def _of_copies(work, items):
     try:
         for _ in range(count):
             receives, sends = fork.Pipe(duplex=False)
-            copy = fork.Process(target=_work, args=(work, items, numbers, sends), daemon=True)
+            results.append(receives)
+            given = work, items, numbers, sends, results
+            copy = fork.Process(target=_work, args=given, daemon=True)
             with warnings.catch_warnings():  # that there are threads: copies use none of theirs
                 warnings.simplefilter("ignore", DeprecationWarning)
                 copy.start()
             sends.close()
             copies.append(copy)
-            results.append(receives)
         while results:
             arrived: list[Any] = connection.wait(results)
             for one in arrived:
@@ -77,9 +78,12 @@ def _of_copies(work, items):
             copy.join()
 
 
-def _work(work, items, numbers: int, sends) -> None:
-    """In a copy: do the next item that none does, until there is none; an error ends it without a word."""
+def _work(work, items, numbers: int, sends, results) -> None:
+    """In a copy: do the next item that none does, until there is none; an error ends it without a word, and
+    where nobody reads the results any more."""
     with contextlib.suppress(BaseException):
+        for one in results:  # the first process's; if it is killed, none may be left
+            one.close()
         signal.signal(
             signal.SIGINT, signal.SIG_IGN
         )  # ctrl-C is the first process's, which ends this

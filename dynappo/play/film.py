@@ -42,7 +42,11 @@ def write(
 
     if not sys.stderr.isatty():
         if out.suffix != ".png":
-            print("rendering: half a minute on two cores", file=sys.stderr, flush=True)
+            print(
+                "rendering: on two cores about twice as long as the film",
+                file=sys.stderr,
+                flush=True,
+            )
         return render.film(player, episode, out, pixels)
     tell(0.0)
     try:

@@ -316,7 +316,10 @@ def summary(out, config, workdir: Path, summary: dict[str, Any]) -> None:
     if not config.robot:
         return None
     small = config.run.num_iterations < 200 or summary["impl"] == "c"
-    if small and not config.task.terms and config.task.terrain == "flat":  # best is on flat ground
+    task = config.task
+    # of which `best` is a larger run: the state, on flat ground
+    same = not task.terms and (task.terrain, task.observation, task.history) == ("flat", "full", 1)
+    if small and same:
         say(f"next: {shell.line('train', f'--config={config.robot}')}  (on a GPU)")
 
 

@@ -89,7 +89,8 @@ def teach(args) -> None:
                 told(found),
                 flush=True,
             )
-    policy_file.save(args.out, jax.device_get(student.params), config, robot)
+    far = dict(iteration=count, sim_steps=count * args.robots * ROWS)
+    policy_file.save(args.out, jax.device_get(student.params), config, robot, **far)
 
 
 def check(teacher: policy_file.Policy, name: str, config, robot: robot_lib.Robot) -> None:

@@ -4,6 +4,7 @@ In a process of its own each: this one has JAX, and then nothing is spread.
 """
 
 import json
+import signal
 import sys
 
 import pytest
@@ -87,6 +88,19 @@ except KeyboardInterrupt:
 """
     found = spread("time.sleep(60)", "range(4)", run=run)
     assert found["result"] == "stopped" and not found["children"]
+
+
+def test_copies_end_with_a_process_that_is_killed():
+    """Each has more to send than a pipe has room for."""
+    run = """
+import threading
+threading.Timer(1.0, lambda: os.kill(first, signal.SIGKILL)).start()
+run()
+"""
+    work = "time.sleep(0.3); return bytes(10**6)"
+    code = SCRIPT.format(work=work, items="range(10**4)", cores=3, run=run)
+    done = shell("-c", code)  # it waits until no process has its output open
+    assert done.returncode == -signal.SIGKILL
 
 
 def test_trials_and_changes_are_the_same_on_any_number_of_cores():

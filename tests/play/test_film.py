@@ -42,7 +42,7 @@ def test_only_a_terminal_is_told_how_far_it_is(tmp_path, monkeypatch, capsys, te
     said = capsys.readouterr()
     assert said.out == ""
     if not terminal:
-        assert said.err == "rendering: half a minute on two cores\n"
+        assert said.err == "rendering: on two cores about twice as long as the film\n"
         return
     assert "\n" not in said.err
     shown = [part.strip() for part in said.err.split("\r")]

@@ -12,6 +12,7 @@ from answers import ROOT
 from rich.console import Console
 
 from dynappo import config as config_lib
+from dynappo.config import flags
 from dynappo.config import shell as shell_lib
 from dynappo.run import show
 from dynappo.train import command as train_command
@@ -264,6 +265,14 @@ def test_the_last_table_has_the_numbers_and_what_to_do_next(name):
     assert all(part in found for part in shown.split(" | ")) and hidden not in found
     assert f"see it: {shell_lib.command_line()} play runs/x --out=walk.html" in found
     assert f"next: {shell_lib.command_line()} train --config=go1" in found
+
+
+@pytest.mark.parametrize("field", ["task.observation=onboard", "task.history=2"])
+def test_where_the_policy_sees_something_else_no_other_task_is_proposed(field):
+    text = io.StringIO()
+    run = config_lib.validate(flags.load("go1:quick", [f"--config.{field}"]))
+    show.summary(Console(file=text, width=120), run, pathlib.Path("runs/x"), SUMMARY)
+    assert "see it: " in text.getvalue() and "next: " not in text.getvalue()
 
 
 def test_a_second_of_evaluation_says_nothing_of_falls_or_standing():
