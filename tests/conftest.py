@@ -41,7 +41,7 @@ web/test_task_page adopt/test_command physics/test_c_mujoco physics/test_warp_ca
 physics/test_xla_call program/test_build model/test_options terrain/test_rough_task policy/test_render
 tasks/test_brax_env tasks/test_logged run/test_faults test_environment_page learner/test_symmetry
 web/test_browser evaluate/test_command test_commands_in_pages description/test_feet config/test_stop
-tasks/test_change test_scores learner/test_networks tasks/test_draws
+tasks/test_change test_scores learner/test_networks tasks/test_draws tasks/test_brax_named
 """.split()  # files that take more than ten seconds of a processor, about in this order (README.md)
 
 

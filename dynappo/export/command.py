@@ -158,7 +158,9 @@ def of_task(policy: Other, path: Path, named: str, flags) -> None:
     """`run` for a policy of another package's environment."""
     task_onnx.check(policy, path, flags)
     check_out(flags.out, path)
-    told = "asks it for its joints and times, a minute or two where the machine is slow"
+    told = (
+        "asks the environment for its joints and times, a minute or two where the machine is slow"
+    )
     print(f"dynappo exports {policy.config.env}: {named}; {told}", flush=True)
     facts = task_onnx.save(policy, path, flags.out)
     for name, text in task_onnx.table(facts, policy, flags.out):

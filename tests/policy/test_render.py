@@ -165,6 +165,26 @@ def test_a_film_has_the_size_that_is_asked_for_and_tells_how_far_it_is(standing,
     assert read(tmp_path / "a.png").shape == (66, 64, 3)
 
 
+def test_bodies_are_drawn_where_an_episode_has_them_not_where_its_joints_would(standing, tmp_path):
+    """Of physics whose joints give: a picture of other joints, with these bodies, is that of these joints,
+    but for a shift of the camera: it follows the joints' centre of mass, which hardly moves."""
+    here = rows_of(standing, slice(-1, None))
+    bent = np.outer([1, 1, -1, -1], [0, 0.4, 0]).ravel()
+    bowing = here | {"qpos": here["qpos"] + np.r_[np.zeros(7), bent]}
+    model, data = GO1.mj_model, mujoco.MjData(GO1.mj_model)
+    data.qpos[:] = bowing["qpos"][0]
+    mujoco.mj_forward(model, data)
+    pose = np.concatenate([data.xpos, data.xquat], -1)[None]
+    shown = {}
+    for name, rows in (("here", here), ("bowing", bowing), ("posed", here | {"pose": pose})):
+        assert render.film(GO1, rows, tmp_path / f"{name}.png", (320, 180)) == ""
+        shown[name] = read(tmp_path / f"{name}.png")
+    other, same = (
+        (np.abs(shown[name] - shown["bowing"]).max(-1) > 0.1).mean() for name in ("here", "posed")
+    )
+    assert other > 0.02 and same < other / 4
+
+
 # ---- the legend
 
 

@@ -429,6 +429,7 @@ def test_a_task_that_is_checked_for_a_mirror_image_is_the_one_that_is_trained(mo
     config.physics.impl = "jax"
     config = config_lib.validate(config)
     build.check(config)
+    assert probed.call_count == 1
     found = by_name.make(config, impl="jax", platform="cpu")
     assert found.env.mirror is not None and probed.call_count == 1
     by_name._playground_task.cache_clear()  # with what only this test has
