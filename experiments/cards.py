@@ -99,8 +99,9 @@ def run(line: Line, out: Path, log, seconds: float, cards: int) -> int | None:
         stderr=subprocess.STDOUT,
         env=os.environ | {"CUDA_VISIBLE_DEVICES": str(line.card)},
         start_new_session=True,  # so that what it starts ends with it
-        preexec_fn=lambda: os.sched_setaffinity(0, cores(line.card, cards)),
     )
+    with contextlib.suppress(ProcessLookupError):  # it is over
+        os.sched_setaffinity(process.pid, cores(line.card, cards))
     try:
         return process.wait(seconds)
     except subprocess.TimeoutExpired:

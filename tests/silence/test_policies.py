@@ -62,10 +62,10 @@ def test_a_run_does_not_start_from_another_joint_order(inside):
 def test_what_the_numbers_of_a_policy_mean_is_said_where_it_differs(inside):
     """Of another robot, another scale of actions, another default pose; nothing of the same."""
     assert restore.apart(Path("mine.npz"), config()) == ""
-    line = restore.apart(Path("mine.npz"), config(action_scale=0.5, history=2))
+    line = restore.apart(Path("mine.npz"), config(action_scale=0.5, kp=50.0))
     assert (
         line
-        == "--restore=mine.npz: task.history is 1 there, 2 here; task.action_scale is 0.25 there, 0.5 here"
+        == "--restore=mine.npz: task.action_scale is 0.25 there, 0.5 here; task.kp is 25.0 there, 50.0 here"
     )
     other = config_lib.validate(config_lib.load("anymal_c:dyna4"))
     line = restore.apart(Path("mine.npz"), other)
