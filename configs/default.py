@@ -530,7 +530,7 @@ def lift_feet(
 ) -> None:
     """Pay for high feet in our own variants, on flat ground: weights of `foot_clearance`, and of `deploy` the
     weight and the height in m. There a robot pays by and by: at once such weights keep ANYmals from walking,
-    and seeds of all robots collapse. What they cost: experiments/22_deploy."""
+    and a seed in ten still falls at iteration 500. What they cost: experiments/22_deploy."""
     # no log tells how high a foot was
     weights = {"": best, "best": best, "few": best, "laptop": laptop}
     if variant in weights:
