@@ -291,7 +291,10 @@ def test_equal_returns_on_playgrounds_page_are_those_of_its_runs(capsys):
     times = [float(row[4]) for row in told]
     assert f"{max(times):.0f}, {np.median(times):.0f}" == "25, 12" and 2 < min(times) < 2.5
     words = " ".join(page.split())
-    assert "after a half to a twenty-fifth" in words and "in the median of all evaluations a twelfth" in words
+    assert (
+        "after a half to a twenty-fifth" in words
+        and "in the median of all evaluations a twelfth" in words
+    )
     # to 90 %: each row, its seconds of `best` those of a run alone
     part = page.split("| task | 90 % are |")[1].split("\n\n")[0].splitlines()[2:]
     found, fewer = table.runs(), []
