@@ -12,6 +12,7 @@ OUT_FOLDER/LANE.log has what a lane's commands said, and OUT_FOLDER.tar.xz all o
 import argparse
 import contextlib
 import os
+import re
 import shlex
 import signal
 import subprocess
@@ -54,9 +55,9 @@ def main():
     lanes = list(dict.fromkeys(line.lane for line in lines))
     cards = max(line.card for line in lines) + 1
     with ThreadPoolExecutor(len(lanes)) as pool:
-        for lane in lanes:
-            mine = [line for line in lines if line.lane == lane]
-            pool.submit(run_lane, args.out, mine, end, cards)
+        each = [[line for line in lines if line.lane == lane] for lane in lanes]
+        # what a lane raises comes out when all have ended
+        list(pool.map(lambda mine: run_lane(args.out, mine, end, cards), each))
     with tarfile.open(f"{args.out}.tar.xz", "w:xz", preset=3) as tar:
         tar.add(args.out, args.out.name)
 
@@ -94,7 +95,7 @@ def run_lane(out: Path, lines: list[Line], end: float, cards: int) -> None:
 def run(line: Line, out: Path, log, seconds: float, cards: int) -> int | None:
     """The command's exit status; None if it was ended."""
     process = subprocess.Popen(
-        shlex.split(line.command.replace("OUT", str(out))),
+        shlex.split(re.sub(r"\bOUT\b", str(out), line.command)),
         stdout=log,
         stderr=subprocess.STDOUT,
         env=os.environ | {"CUDA_VISIBLE_DEVICES": str(line.card)},

@@ -12,6 +12,7 @@ from ml_collections import config_dict
 from toy_runs import leaves
 
 from dynappo import schedule, train
+from dynappo.program import build
 from dynappo.run import training
 from dynappo.run import workdir as workdir_lib
 from dynappo.tasks.velocity import env as env_lib
@@ -57,6 +58,14 @@ def compiled_once(program):
         return made[of]._replace(state=state, columns=schedule.columns(config))
 
     return again
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_program():
+    """Of the module that imports it: runs that differ in iterations, or go on, have one compiled program."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(build, "program", compiled_once(build.program))
+        yield
 
 
 class Run:

@@ -32,12 +32,8 @@ from dynappo.terrain.height_map import HeightMap
 COUNT, FIRST = 6, 1.0  # steps; m, from the start to the first
 LANDING, WIDE, OVER = 4.0, 3.0, 0.5  # m: its length, half of the width, how far onto it is climbed
 SECONDS, SPEEDS, STARTS = 15.0, (0.5, 0.8), (0.0, -0.1, -0.2)  # s; m/s; m
-HEIGHTS = (
-    0.0,
-    0.25,
-    0.5,
-    0.75,
-)  # shares of the range, whose lower end is 0 for bipeds: those are no steps
+# shares of the range, whose lower end is 0 for bipeds: those are no steps
+HEIGHTS = 0.0, 0.25, 0.5, 0.75
 TABLE = (
     Stress("none"),
     Stress("actions 20 ms late", action_delay=0.02),

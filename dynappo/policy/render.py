@@ -34,10 +34,8 @@ from dynappo.terrain.height_map import HeightMap
 __all__ = ["film", "simulate", "tour"]
 
 FILMED = ("pit_stairs", 0.3)  # the tile of a run's film, and its difficulty
-FPS = {
-    ".mp4": 25.0,
-    ".gif": 12.5,
-}  # frames a second; two cores render ten to fifteen with software OpenGL
+# frames a second; two cores render ten to fifteen with software OpenGL
+FPS = {".mp4": 25.0, ".gif": 12.5}
 WIDTH, HEIGHT = 640, 360
 PICTURE = 1280, 720
 # values of MUJOCO_GL, in the order in which they are tried; macOS and Windows have their own OpenGL

@@ -6,13 +6,12 @@ import shutil
 import jax
 import numpy as np
 import pytest
-import workdirs
 from toy_runs import assert_same, leaves
+from workdirs import one_program  # noqa: F401, a fixture
 
 from dynappo import config as config_lib
 from dynappo import train
 from dynappo.policy import episode, policy_file, policy_source
-from dynappo.program import build
 
 SMALL = (
     "rollout.num_envs=16 rollout.horizon=8 schedule.end_iteration=1 schedule.end_steps=4 model.hidden=(16,) "
@@ -32,14 +31,6 @@ def settings(*fields):
     for text in [*SMALL, *fields]:
         config_lib.override(config, *text.split("=", 1))
     return config
-
-
-@pytest.fixture(scope="module", autouse=True)
-def compiled_once():
-    """A run that goes on has the program of the run before."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(build, "program", workdirs.compiled_once(build.program))
-        yield
 
 
 @pytest.fixture(scope="module")

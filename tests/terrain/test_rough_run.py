@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import workdirs
 from toy_runs import assert_same
+from workdirs import one_program  # noqa: F401, a fixture
 
 from dynappo import config as config_lib
 from dynappo import train
-from dynappo.program import build
 
 pytestmark = pytest.mark.slow
 ROWS, ROBOTS, ITERATIONS = 4, 16, 6
@@ -31,14 +31,6 @@ def settings(*fields):
     for text in [*SMALL, *fields]:
         config_lib.override(config, *text.split("=", 1))
     return config
-
-
-@pytest.fixture(scope="module", autouse=True)
-def compiled_once():
-    """Two runs of the same program, more iterations or fewer."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(build, "program", workdirs.compiled_once(build.program))
-        yield
 
 
 @pytest.fixture(scope="module")
