@@ -67,7 +67,7 @@ def apply_variant(config, variant):
         config.schedule.update(end_steps=16, last_iteration=400)
         task.randomize.base_mass = (low, 2 * high)  # a pelvis alone is light: G1's has 3.8 kg
         # With pushes of 1 m/s and 40 ms it stays on its feet and does not follow; with half of both it
-        # shuffles, unless the gait clock is paid twice (experiments/25_humanoid)
+        # shuffles, unless the gait clock is paid twice (experiments/25_humanoid/hardware.md)
         task.push.velocity = 0.5
         task.randomize.delay = (0.0, 0.02)
         task.weights.update(feet_phase=2.0, foot_clearance=-0.5, stand_still=0.0, joint_limits=-1.0)
@@ -133,7 +133,7 @@ def _rough(task):
 
 def _best(config):
     """Few robots, five of six rows and two of three updates imagined. What each setting is worth:
-    experiments/25_humanoid."""
+    experiments/25_humanoid/parts.md."""
     config.run.num_iterations = 240
     config.rollout.update(num_envs=1024, horizon=24)
     config.schedule.update(start_iteration=0, end_iteration=5, start_steps=0, end_steps=20)

@@ -73,7 +73,7 @@ def _best(config, symmetric, known_reward):
     have not run. H1 without it is at 41 instead of 63 after 6 M steps, Op3 at 16 instead
     of 20 after 3 M.
 
-    One or two seeds each: experiments/05_playground. A guess is the initial noise of 0.7.
+    One or two seeds each: experiments/05_playground/parts.md, stalls.md. A guess is the initial noise of 0.7.
     """
     config.rollout.update(num_envs=1024, horizon=24)
     config.schedule.update(start_iteration=50, end_iteration=55, start_steps=0, end_steps=20)

@@ -271,14 +271,23 @@ def test_braxs_runs_that_share_a_card_have_the_seconds_of_one_alone(
     assert told == ["11.0", "11.5"]
 
 
-def test_equal_returns_on_playgrounds_page_are_those_of_its_runs(capsys):
-    """Each row of a task; and what the page's head says of all of them."""
+def part_of(page, heading):
+    """The text of a page under a heading, to the next one of its level."""
+    head = f"\n## {heading}\n"
+    text = (EXPERIMENTS / PLAYGROUND / page).read_text()
+    assert text.count(head) == 1, heading
+    return text.split(head)[1].split("\n## ")[0]
+
+
+def test_equal_returns_on_playgrounds_pages_are_those_of_its_runs(capsys):
+    """Each row of a task; their range, and the highest returns; and what the page's head says of them."""
     table = script(f"{PLAYGROUND}/table")
     table.beside(table.runs())
     rows = [line.strip("| ").split(" | ") for line in capsys.readouterr().out.splitlines()[2:]]
     told = {(task.split("Joy")[0].split("Flat")[0], *row) for task, *row in rows if row}
     page = (EXPERIMENTS / PLAYGROUND / "README.md").read_text()
-    part = page.split("our PPO: M steps |\n")[1].split("\n\n")[0].splitlines()[1:]
+    part = part_of("returns.md", "Equal returns").split("our PPO: M steps |\n")[1]
+    part = part.split("\n\n")[0].splitlines()[1:]
     names = {"Berkeley": "BerkeleyHumanoid", "Go1, rough": "Go1"}
     names |= {name: f"Go1{name}" for name in ("Getup", "Handstand")}
     task, seen = "", set()
@@ -295,13 +304,30 @@ def test_equal_returns_on_playgrounds_page_are_those_of_its_runs(capsys):
         "after a half to a twenty-fifth" in words
         and "in the median of all evaluations a twelfth" in words
     )
-    # to 90 %: each row, its seconds of `best` those of a run alone
-    part = page.split("| task | 90 % are |")[1].split("\n\n")[0].splitlines()[2:]
     found, fewer = table.runs(), []
     every = {x.split("Joy")[0].split("Flat")[0]: x for x in reversed(table.tasks(found))}
+
+    def task_of(name):
+        return every[names.get(name, name)] if name != "Go1, rough" else "Go1JoystickRoughTerrain"
+
+    # the range of all evaluations, and the highest return of each trainer
+    part = page.split("| task | times fewer steps |")[1].split("\n\n")[0].splitlines()[2:]
+    for line in part:
+        name, *shown = cells(line)
+        mine = [row for row in rows if row[0] == task_of(name)]
+        for column, cell in zip((4, 5), shown, strict=False):
+            numbers = [float(row[column]) for row in mine if row[column] != "-"]
+            ends = f"{min(numbers):.1f} to {max(numbers):.1f}" if numbers else "-"
+            assert cell == ends, line
+        best = table.mean(found[task_of(name), "best"])[:, 2].max()
+        highest = [f"{table.reference(found, task_of(name)):.1f}", f"{best:.1f}"]
+        assert [shown[2], shown[3].split(",")[0]] == highest, line
+    assert len(part) == 12
+    # to 90 %: each row, its seconds of `best` those of a run alone
+    part = page.split("| task | 90 % are |")[1].split("\n\n")[0].splitlines()[2:]
     for line in part:
         name, level, *shown = cells(line)
-        task = every[names.get(name, name)] if name != "Go1, rough" else "Go1JoystickRoughTerrain"
+        task = task_of(name)
         share = 0.9 * table.reference(found, task)
         kinds = [table.first_cells(found[task, k], share) for k in table.BRAX if (task, k) in found]
         steps, took = min(
@@ -324,14 +350,25 @@ def test_equal_returns_on_playgrounds_page_are_those_of_its_runs(capsys):
 
 
 @pytest.mark.parametrize(
-    ("batch", "tasks", "begins", "ends"),
+    ("batch", "tasks", "parts"),
     [
-        ("one-thing", "", "# ", "## The control that Handstand adds up"),
-        ("stall", ("op3", "h1", "barkour"), "## Op3 and H1", "## When a tail may begin"),
+        (
+            "one-thing",
+            "",
+            [
+                ("stalls.md", "Where the tail harmed: Spot"),
+                ("parts.md", "Rewards computed in a tail"),
+            ],
+        ),
+        (
+            "stall",
+            ("op3", "h1", "barkour"),
+            [("stalls.md", "Op3 and H1: why they stall")],
+        ),
     ],
     ids=["Spot and known rewards", "Op3 and H1"],
 )
-def test_playgrounds_runs_of_one_thing_at_a_time_are_those_of_the_page(batch, tasks, begins, ends):
+def test_playgrounds_runs_of_one_thing_at_a_time_are_those_of_the_pages(batch, tasks, parts):
     """Each line with two seeds' returns is that of a run, at the steps of its head."""
     folder, runs = EXPERIMENTS / PLAYGROUND, {}
     with lzma.open(folder / "results" / "tuning.csv.xz", "rt", newline="") as file:
@@ -351,7 +388,7 @@ def test_playgrounds_runs_of_one_thing_at_a_time_are_those_of_the_page(batch, ta
         return True
 
     checked, head = [], []
-    page = (folder / "README.md").read_text().split(ends)[0].partition(begins)[2]
+    page = "\n".join(part_of(*part) for part in parts)
     for text in page.splitlines():
         line = [cell.strip() for cell in text.replace("**", "")[1:-1].split("|")]
         if line[-1] == "6.0 M" and line[-2] in ("3.5 M", "4.8 M"):
@@ -367,7 +404,7 @@ def test_playgrounds_runs_of_one_thing_at_a_time_are_those_of_the_page(batch, ta
     assert {*checked} == {*runs} and len(checked) == len(runs)
 
 
-def test_what_handstand_and_go1_had_again_is_on_playgrounds_page():
+def test_what_handstand_and_go1_had_again_is_on_playgrounds_pages():
     """Four seeds a cell; and Go1 after 2.5 M steps, in words."""
     folder, runs = EXPERIMENTS / PLAYGROUND, {}
     with lzma.open(folder / "results" / "tuning.csv.xz", "rt", newline="") as file:
@@ -375,15 +412,14 @@ def test_what_handstand_and_go1_had_again_is_on_playgrounds_page():
             if row["batch"] == "again" or row["name"].startswith("hand-whole"):
                 at = runs.setdefault((row["name"], f"{float(row['sim_steps']) / 1e6:.1f} M"), [])
                 at.append(f"{float(row['return']):.1f}")
-    text = (folder / "README.md").read_text()
-    part = text.split("## The control that Handstand adds up")[1].split("\n\n")
+    part = part_of("stalls.md", "The control that Handstand adds up").split("\n\n")
     head, _, *lines = next(x for x in part if x.startswith("| | 1.9 M")).splitlines()
     heads = [cell.strip() for cell in head.split("|")[2:-1]]
     names = "again-old", "again-base", "again-known", "whole-base", "whole-known"
     for name, line in zip(names, lines, strict=True):
         cells = [cell.strip() for cell in line.split("|")[2:-1]]
         assert cells == [", ".join(runs[f"hand-{name}", at]) for at in heads]
-    told = " ".join(text.split())
+    told = " ".join(part_of("parts.md", "Rewards computed in a tail").split())
     for name in ("base", "old"):
         assert f"({', '.join(runs[f'go1-again-{name}', '2.5 M'])})" in told
     known = sorted(runs["go1-again-known", "2.5 M"])

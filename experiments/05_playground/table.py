@@ -1,4 +1,4 @@
-"""The tables of this folder's page, from results/*.csv.
+"""The tables of README.md and returns.md, from results/*.csv.
 
     python experiments/05_playground/table.py
 

@@ -1,4 +1,4 @@
-"""The tables in README.md and tried.md, from the files in results/.
+"""The tables of this folder's pages, from the files in results/.
 
     python experiments/25_humanoid/table.py
 

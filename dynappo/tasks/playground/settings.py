@@ -35,7 +35,7 @@ SYMMETRIC = (
 )
 # how names of tasks begin that have computed rewards (known.py): the joysticks of Go1 and Spot, Op3 and
 # Barkour learn sooner with them; on Getup and Handstand nothing is shown. Berkeley learns slower, G1, T1 and
-# H1 no faster, Apollo not at all (experiments/05_playground)
+# H1 no faster, Apollo not at all (experiments/05_playground/parts.md)
 REWARD_KNOWN = ("Go1", "Spot", "Op3", "Barkour")
 
 
