@@ -700,6 +700,41 @@ def test_the_table_of_older_runs_is_that_of_its_runs():
         assert mine == [*row[2:4], *row[9:]], name
 
 
+def test_the_tables_of_controls_are_those_of_their_runs():
+    """What writes a tail: to the level, then to a walk; and each part taken out."""
+    (table, jobs), page = less("ablation"), (LESS / "model.md").read_text()
+    rows = {cells(line)[0]: cells(line)[1:] for line in page.splitlines() if "|" in line}
+    for what, name in (
+        ("the model, from real rows drawn at random (`best`)", "whole"),
+        ("the model, from the robots' last states", "last"),
+        ("the simulator, from the last states, not counted", "simulator"),
+    ):
+        found = []
+        for letter in LETTERS.values():
+            one = ours_of(f"control-{name}-{letter}", "ablation")
+            found.append(f"{one.level.mean() / 1e6:.2f}; {table.steps_of(one.walks)}")
+        assert rows[what] == found
+    for what, name in (
+        ("(all parts)", "all"),
+        ("predicted falls (`model.falls`)", "falls"),
+        ("rounds of imagination: 1", "rounds"),
+        ("few robots: 4096", "robots"),
+        ("4 simulated rows: 8", "rows"),
+        ("ramp of 5 iterations: 20", "ramp"),
+        ("symmetric policy", "symmetry"),
+        ("known reward (`model.known_reward`)", "known"),
+        ("KL 0.02: 0.01", "kl"),
+        ("swish: ELU", "swish"),
+        ("gamma 0.98: 0.99", "gamma"),
+        ("weights by presence (algorithm.py)", "presence"),
+        ("clean targets (`model.clean`)", "clean"),
+        ("episodes of 5 s: 20 s", "episodes"),
+    ):
+        keys = [f"{name}-{letter}" for letter in LETTERS.values()]
+        found = [table.part(jobs[key]).replace("**", "") if key in jobs else "" for key in keys]
+        assert rows[what] + [""] * (4 - len(rows[what])) == found, name
+
+
 def test_the_page_of_results_has_the_numbers_of_both():
     page = (ROOT / "docs/results.md").read_text()
     runs = {"`best`": "best", "PPO alone *": "ppo"}
