@@ -646,23 +646,27 @@ def less(name):
 
 def test_the_tables_of_the_headline_are_those_of_its_runs():
     """Steps until it walks and to levels, falls; at equal steps; ratios; while the model writes tails."""
-    (table, jobs), page = less("headline"), (LESS / "README.md").read_text()
+    (table, jobs), page = less("headline"), (LESS / "tables.md").read_text()
     assert {len(table.seeds(job)) for job in jobs.values()} == {10}
     found = rows_of(page, RUNS, 11)
     assert found.keys() == jobs.keys() and len(jobs) == 8
     for name, mine in found.items():
         first, fell = steps_and_falls(table, name, jobs[name])
         assert mine == [*first[:2], fell[1], first[2], fell[4], *first[5:]], name
-    steps, beside = rows_of(page, RUNS, 5), rows_of(page, RUNS, 8)
+    front = (LESS / "README.md").read_text()
+    steps, beside = rows_of(page, RUNS, 5), rows_of(front, RUNS, 8)
     millions = (0.6, 1, 2, table.seeds(jobs["ppo-g"])[0][-1]["sim_steps"] / 1e6)
     assert {
         row[0]: row[1:] for row in map(cells, table.at(jobs, millions).splitlines()[2:])
     } == steps
     lines = map(cells, table.beside(jobs).splitlines()[2:])
     assert {row[0]: row[1:] for row in lines} == beside and len(beside) == 4
+    short = {name: [*full[:3], steps[name][-1]] for name, full in found.items()}
+    assert rows_of(front, RUNS, 5) == short  # the page's own table is of these columns
     mine = {f"best-{letter}": jobs[f"best-{letter}"] for letter in LETTERS.values()}
     phases = [cells(line)[1:] for line in table.phases(mine).splitlines()[2:]]
-    shown = [cells(line) for line in page.splitlines() if cells(line)[0] in LETTERS]
+    falls = (LESS / "falls.md").read_text()
+    shown = [cells(line) for line in falls.splitlines() if cells(line)[0] in LETTERS]
     assert [row[1:] for row in shown if len(row) == 6] == phases
 
 
@@ -674,7 +678,7 @@ def steps_and_falls(table, name, job):
 
 def test_what_the_page_says_of_feet_that_are_not_lifted_is_so():
     """The table, the factors of then, and what the weight costs, runs evaluated as seldom as then."""
-    (table, old), page = less("low_feet"), (LESS / "README.md").read_text()
+    (table, old), page = less("low_feet"), (LESS / "task.md").read_text()
     found = rows_of(page, LOW_FEET, 6)
     assert found.keys() == old.keys() and len(old) == 12
     for name, mine in found.items():
@@ -724,12 +728,47 @@ def test_what_the_page_says_of_feet_that_are_not_lifted_is_so():
 
 
 def test_the_table_of_older_runs_is_that_of_its_runs():
-    (table, jobs), page = less("fresh"), (LESS / "README.md").read_text()
+    (table, jobs), page = less("fresh"), (LESS / "history.md").read_text()
     found = rows_of(page, OLDER, 6)
     assert len(found) == 24
     for name, mine in found.items():
         row = cells(table.table({name: jobs[name]}, table.best(jobs[name])).splitlines()[2])
         assert mine == [*row[2:4], *row[9:]], name
+
+
+def test_the_tables_of_controls_are_those_of_their_runs():
+    """What writes a tail: to the level, then to a walk; and each part taken out."""
+    (table, jobs), page = less("ablation"), (LESS / "model.md").read_text()
+    rows = {cells(line)[0]: cells(line)[1:] for line in page.splitlines() if "|" in line}
+    for what, name in (
+        ("the model, from real rows drawn at random (`best`)", "whole"),
+        ("the model, from the robots' last states", "last"),
+        ("the simulator, from the last states, not counted", "simulator"),
+    ):
+        found = []
+        for letter in LETTERS.values():
+            one = ours_of(f"control-{name}-{letter}", "ablation")
+            found.append(f"{one.level.mean() / 1e6:.2f}; {table.steps_of(one.walks)}")
+        assert rows[what] == found
+    for what, name in (
+        ("(all parts)", "all"),
+        ("predicted falls (`model.falls`)", "falls"),
+        ("rounds of imagination: 1", "rounds"),
+        ("few robots: 4096", "robots"),
+        ("4 simulated rows: 8", "rows"),
+        ("ramp of 5 iterations: 20", "ramp"),
+        ("symmetric policy", "symmetry"),
+        ("known reward (`model.known_reward`)", "known"),
+        ("KL 0.02: 0.01", "kl"),
+        ("swish: ELU", "swish"),
+        ("gamma 0.98: 0.99", "gamma"),
+        ("weights by presence (algorithm.py)", "presence"),
+        ("clean targets (`model.clean`)", "clean"),
+        ("episodes of 5 s: 20 s", "episodes"),
+    ):
+        keys = [f"{name}-{letter}" for letter in LETTERS.values()]
+        found = [table.part(jobs[key]).replace("**", "") if key in jobs else "" for key in keys]
+        assert rows[what] + [""] * (4 - len(rows[what])) == found, name
 
 
 def test_the_page_of_results_has_the_numbers_of_both():
@@ -748,7 +787,7 @@ def test_the_page_of_results_has_the_numbers_of_both():
 
 
 def test_the_table_of_what_was_tried_for_fewer_falls_is_that_of_its_runs():
-    (table, jobs), page = less("falls"), (LESS / "README.md").read_text()
+    (table, jobs), page = less("falls"), (LESS / "falls.md").read_text()
     names = {name[:-2] for name in jobs}
     rows = [
         cells(line) for line in page.splitlines() if cells(line)[1:2] and cells(line)[1] in names
@@ -767,7 +806,7 @@ def test_the_table_of_what_was_tried_for_fewer_falls_is_that_of_its_runs():
 def test_what_the_page_says_of_falls_is_so():
     """Ranges while tails are used, what physics alone leaves, and differences with p, by Welch."""
     table, jobs = less("falls")
-    page = " ".join((LESS / "README.md").read_text().split())
+    page = " ".join((LESS / "falls.md").read_text().split())
     found: dict[str, list] = {letter: [] for letter in "ghcd"}
     for name, job in jobs.items():
         if job[0]["batch"] in "789" and np.isfinite(phase := table.phase(job).mean(0)).all():
@@ -1001,23 +1040,37 @@ def test_at_equal_steps_and_in_ratios_the_headline_is_as_its_page_says():
 
 
 def test_what_the_page_says_of_the_goal_and_of_single_seeds_is_so():
-    page = " ".join((LESS / "README.md").read_text().split())
+    front, page = (" ".join((LESS / n).read_text().split()) for n in ("README.md", "falls.md"))
     alone = {"g": 0.65e6, "h": 0.65e6, "c": 0.49e6, "d": 0.49e6}  # from there on
     late = {x: (~(ours_of(f"best-{x}").walks <= at)).sum() for x, at in alone.items()}
     assert late == {"g": 5, "h": 3, "c": 2, "d": 7}
     assert "so 5 Go1 and 3 Go2 of 10 do not walk before physics alone begins" in page
     assert "nor do 2 ANYmal-C and 7 ANYmal-D" in page
+    assert f"So {sum(late.values())} of the 40 seeds do not walk before the simulator" in front
     ends = {x: ours_of(f"best-{x}").walks / 1e6 for x in "ghcd"}
     met = [x for x, some in ends.items() if some.mean() <= 0.6 and some.max() <= 1.0]
     assert met == ["c"] and ends["h"].mean() < 0.6 and ends["h"].max() > 1.0
-    assert np.isfinite([*ends.values()]).all()  # "All 40 runs walk"
-    assert [f"{np.sort(ends[x])[-2]:.2f}" for x in "gd"] == ["1.26", "1.30"]  # "nine of ten ..."
+    assert "It is met on ANYmal-C. Go2 misses it by its last seed (1.06 M)" in front
+    assert np.isfinite([*ends.values()]).all() and "all 40 runs walk" in front
+    second = [np.sort(ends[x])[-2] for x in "gd"]
+    assert f"Nine of ten Go1 walk by {second[0]:.2f} M" in front
+    assert f"Nine of ten ANYmal-D walk by {second[1]:.2f} M" in front
+    text = "a Go1 walks after {:.2f} M simulator steps, a Go2 after {:.2f} M, "
+    text += "ANYmal-C and -D after {:.2f} and {:.2f} M"
+    assert text.format(*(some.mean() for some in ends.values())) in front
+    level = [ours_of(f"best-{x}").level.mean() / 1e6 for x in "ghcd"]
+    assert "after {:.2f}, {:.2f}, {:.2f} and {:.2f} M steps".format(*level) in front
+    theirs = [ours_of(f"ppo-{x}").walks / 1e6 for x in "ghcd"]
+    text = "walks after {:.1f}, {:.1f}, {:.1f} and {:.1f} M, and {} of its 40 runs do not within"
+    assert text.format(*map(np.nanmean, theirs), np.isnan(theirs).sum()) in front
     table, jobs = less("headline")
     last, late = (table.seeds(jobs[f"best-{x}"])[np.argmax(ends[x])] for x in "gd")
     some = [r["fall_rate"] for r in last if 0.8e6 < r["sim_steps"] < 5.4e6]
     assert (min(some), max(some)) == (0.002, 0.029) and some[-1] > 0.01
+    assert "falls in 0.2 to 2.9 % of its episodes from 0.8 to 5.4 M" in front
     (bad,) = [r for r in late if r["sim_steps"] > 0.44e6 and r["fall_rate"] > 0.01]
     assert bad["fall_rate"] == 0.012 and f"{bad['sim_steps'] / 1e6:.1f}" == "4.6"
+    assert "has 1.2 % at a single evaluation, at 4.6 M" in front
     table, jobs = less("low_feet")
     spread = [
         np.mean(
