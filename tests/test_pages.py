@@ -40,7 +40,7 @@ FOLDERS = {parts[0] for parts in FILES} | {
     if len(parts) > 2 and parts[0] in ("dynappo", "tests", "experiments")
 }
 OURS = [ROOT / "README.md", *ROOT.glob("docs/*.md"), ROOT / "tests" / "README.md"]
-OURS += ROOT.glob("experiments/**/README.md")
+OURS += ROOT.glob("experiments/**/*.md")
 
 
 @pytest.mark.parametrize("page", OURS, ids=lambda p: str(p.relative_to(ROOT)))
