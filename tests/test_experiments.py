@@ -508,9 +508,9 @@ def test_jobs_of_few_robots_are_valid_and_evaluated_on_the_way_to_45_thousand_st
 
 
 def test_the_table_of_logs_is_that_of_its_seeds(tmp_path):
-    """On the page; and by hand, of two seeds that gain 1 and 3: 2 with Student's 12.706 of one degree."""
+    """In logs.md; and by hand, of two seeds that gain 1 and 3: 2 with Student's 12.706 of one degree."""
     table, few = script("27_few/logs_table"), EXPERIMENTS / "27_few"
-    page = [cells(line) for line in (few / "README.md").read_text().splitlines() if "|" in line]
+    page = [cells(line) for line in (few / "logs.md").read_text().splitlines() if "|" in line]
     rows = [cells(line) for line in table.table(table.SEEDS).splitlines()]
     assert len(rows) == 11 and all(row in page for row in [rows[0], *rows[2:]])
     head = "case,seed,sensors,iteration,log_seconds,return,fall_rate"
@@ -532,13 +532,17 @@ def test_the_tables_of_few_robots_are_those_of_their_runs():
     """Each line with returns is that of a job, by hand that of its name; no run on a CPU is left out,
     and they ran what laptop.txt says, less what `few` was then."""
     table, few = script("27_few/table"), EXPERIMENTS / "27_few"
-    page = [cells(line) for line in (few / "README.md").read_text().splitlines() if "|" in line]
+    page = {
+        name: [cells(line) for line in (few / f"{name}.md").read_text().splitlines() if "|" in line]
+        for name in ("README", "parts", "model", "history")
+    }
 
     def told(path, at):
         return [cells(line) for line in table.table(table.read(path), at).splitlines()[2:]]
 
     on_cpu, jobs = told(few / "results", [17.4, 27.6, 43]), table.read(few / "results")
-    found = {row[0].strip("`"): row[2:] for row in page if len(row) == 8 and row[0][0] == "`"}
+    of_cpu = [row for row in page["history"] if len(row) == 8 and row[0][0] == "`"]
+    found = {row[0].strip("`"): row[2:] for row in of_cpu}
     assert found == {row[0]: row[1:] for row in on_cpu} and len(jobs) >= 9
     laptop = [line.split() for line in (few / "laptop.txt").read_text().splitlines()]
     then = {"rollout.horizon=20", "schedule.end_steps=16", "model.minibatches=5"}
@@ -548,15 +552,18 @@ def test_the_tables_of_few_robots_are_those_of_their_runs():
     }
     packed = few / "results" / "gpu.csv.xz"
     on_gpu = [tuple(row[2:8]) for row in told(packed, [10.0, 15.0, 20.0, 27.0, 43.0])]
-    fresh = [row[2:8] for row in page if len(row) == 9 and row[2].endswith("%")]
-    parts = [row[1:7] for row in page if len(row) == 7 and row[1].endswith("%")]
+    fresh = [row[2:8] for row in page["README"] if len(row) == 9 and row[2].endswith("%")]
+    model, before = (
+        [row[1:7] for row in page[name] if len(row) == 7 and row[1].endswith("%")]
+        for name in ("model", "history")
+    )
     never = ["never in 84 k" if "5 never" in row[-1] else row[-1] for row in on_gpu]
     known = {(*row[:-1], last) for row, last in zip(on_gpu, never, strict=True)}
-    assert len(fresh) == 4 and len(parts) == 43
-    assert {tuple(row) for row in fresh + parts} <= known
+    assert (len(fresh), len(model), len(before)) == (4, 17, 26)
+    assert {tuple(row) for row in fresh + model + before} <= known
     of_runs = table.table(table.read(packed, "one-commit"), []).splitlines()[2:]
     of_runs = {line[0]: line[2:] for line in map(cells, of_runs)}
-    rows = {row[0]: row for row in page if len(row) == 7 and row[3].endswith("of 5")}
+    rows = {row[0]: row for row in page["parts"] if len(row) == 7 and row[3].endswith("of 5")}
     for label, part in (("nothing: `few`", "whole"), ("a memory", "memory")):
         assert rows[label][1::2][:2] == [
             x if "(" in x else f"{x} of 5" for x in of_runs[f"part-{part}-h"]
@@ -2204,7 +2211,7 @@ def test_jobs_on_rough_ground_are_valid_and_a_control_changes_one_thing():
 
 
 def test_the_row_in_training_is_kept_where_it_was_read_rightly():
-    """Of runs of several seeds until 2026-11-27 that of the last one alone (28_rough/README.md)."""
+    """Of runs of several seeds until 2026-11-27 that of the last one alone (28_rough/history.md)."""
     table, then = script("28_rough/table"), "first look-where-it-goes parts cell fresh".split()
     for file in ("fresh", "tuning"):
         rows = table.rows(EXPERIMENTS / f"28_rough/results/{file}.csv.xz")
@@ -2277,33 +2284,80 @@ def test_two_seeds_of_ppo_have_no_interval():
     assert table.times(some, 2) == "2.5" and table.times(some, 3) == "2.5 (-0.1 to 9.0)"
 
 
-def test_the_page_of_rough_ground_has_the_tables_of_its_runs():
+ROUGH_PAGES = {  # batches of 28_rough -> the page with a line of each of their runs
+    "cell": "heights",
+    "parts": "history",
+    "one-commit": "tail",
+    "one-commit-4": "tail",
+    "one-commit-5": "robots",
+}
+
+
+def test_the_pages_of_rough_ground_have_the_tables_of_their_runs():
+    """Lines of PPO are in ppo.md, of whatever batch."""
     table, folder = script("28_rough/table"), EXPERIMENTS / "28_rough"
-    page = (folder / "README.md").read_text()
+    page = {path.stem: path.read_text() for path in folder.glob("*.md")}
     packed = table.rows(folder / "results/fresh.csv.xz")
     fresh = [*table.runs([row for row in packed if row["batch"] == "fresh"])]
     assert len(fresh) == 30
-    assert "\n".join(table.by_robot(fresh)) in page
-    assert "\n".join(table.beside_ppo(table.paces())) in page
+    assert "\n".join(table.by_robot(fresh)) in page["README"]
+    assert "\n".join(table.beside_ppo(table.paces())) in page["ppo"]
     ppo = table.by_robot([*table.runs([row for row in packed if row["batch"] == "fresh-ppo"])])[2:]
-    assert len(ppo) == 2 and all(line in page for line in ppo)
-    batches = ("cell", "parts", "one-commit", "one-commit-4", "one-commit-5")
-    kept = [row for row in table.rows() if row["batch"] in batches]
-    lines = table.by_robot([*table.runs(kept)])[2:]
-    missing = {cells(line)[0] for line in lines if line not in page}
+    assert len(ppo) == 2 and all(line in page["ppo"] for line in ppo)
+    found, missing = 0, set()
+    for batch, where in ROUGH_PAGES.items():
+        kept = [row for row in table.rows() if row["batch"] == batch]
+        for line in table.by_robot([*table.runs(kept)])[2:]:
+            name = cells(line)[0]
+            found += 1
+            if line not in page["ppo" if "-ppo-" in name else where]:
+                missing.add(name)
     assert missing == {
         f"anc-{x}" for x in "cell5 im2 model512 robots1536 symmetry".split()
     }  # cut off
-    assert len(lines) == 34 + len(missing)
+    assert found == 34 + len(missing)
     first = table.by_seed([*table.runs([row for row in table.rows() if row["batch"] == "first"])])
-    assert sum(line in page for line in first[2:]) == 10
+    assert sum(line in page["history"] for line in first[2:]) == 10
+
+
+def test_the_short_tables_of_rough_ground_are_those_of_its_pages():
+    """PPO beside `best`, and what the tail knows: shares at the end, steps to 70 and 80 % of all tiles."""
+    table, folder = script("28_rough/table"), EXPERIMENTS / "28_rough"
+    lines = [cells(x) for x in (folder / "README.md").read_text().splitlines() if x[:1] == "|"]
+    rows = [*table.rows(folder / "results/fresh.csv.xz"), *table.rows()]
+    rows = [row for row in rows if row["batch"] in (*table.TODAY, "one-commit")]
+    ends = {row[0]: row for row in map(cells, table.by_robot([*table.runs(rows)])[2:])}
+    paces = [cells(x) for x in table.beside_ppo(table.paces())]
+    robots = {row[0]: row for row in paces if len(row) == 8}
+    times = {row[0]: row for row in paces if len(row) == 7}
+    runs = {
+        "Go2, PPO": ("go2-ppo-1024", "go2-ppo-2048", "go2-ppo-4096"),
+        "Go2, PPO, KL 0.01": ("go2-ppo-kl1",),
+        "Go2, PPO, gamma 0.99": ("go2-ppo-gamma",),
+        "ANYmal-C, PPO": ("anymal_c-ppo-2048", "anymal_c-ppo-4096"),
+        "Go2, `best`": ("go2-best",),
+        "ANYmal-C, `best`": ("anymal_c-best",),
+    }
+    for title, names in runs.items():
+        shown = [row[1:] for row in lines if row[0] == title]
+        for name, (many, seeds, steps, share, *when) in zip(names, shown, strict=True):
+            assert [many, steps] == robots[name][1:3]
+            assert [seeds, share] == [ends[name][1], ends[name][2].split()[0]]
+            told = [x.split()[0] for x in robots[name][3:5]]
+            told = [f"{x} M" for x in told] if name.endswith("best") else times[name][2:4]
+            assert [x.removesuffix(" times") for x in when] == told
+    for title, robot in (("Go2", "go2"), ("ANYmal-C", "anymal_c")):
+        (shown,) = [row[1:] for row in lines if row[0] == title]
+        mine = [ends[f"{robot}-{x}"] for x in ("known", "no-end", "frozen", "blind-model")]
+        assert shown == [row[2].split()[0] for row in mine]
+        assert ["seeds of each", *(row[1] for row in mine)] in lines
 
 
 def test_the_errors_along_a_tail_are_those_of_the_page():
     folder = EXPERIMENTS / "28_rough"
     with open(folder / "results/scan.csv", newline="") as file:
         rows = {float(row["seconds"]): row for row in csv.DictReader(file)}
-    part = (folder / "README.md").read_text().split("| seconds of the tail |")[1].split("\n\n")[0]
+    part = (folder / "tail.md").read_text().split("| seconds of the tail |")[1].split("\n\n")[0]
     heads, _, *lines = (cells(line) for line in ("| |" + part).splitlines())
     at = [rows[float(x)] for x in heads]
     assert [row["step"] for row in at] == ["5", "10", "15", "20"]
@@ -2326,8 +2380,8 @@ def test_the_errors_along_a_tail_are_those_of_the_page():
 def test_the_shares_by_kind_and_row_are_those_of_the_page():
     """Each row of the table, recomputed; columns are the heights of `STEPS`."""
     table, folder = script("28_rough/table"), EXPERIMENTS / "28_rough"
-    page = (folder / "README.md").read_text()
-    part = page.split("## By kind and row")[1].split("## PPO beside")[0].splitlines()
+    page = (folder / "heights.md").read_text()
+    part = page.split("## By kind and row")[1].split("## Finer ground")[0].splitlines()
     heads = cells(next(line for line in part if line.startswith("| run |")))[2:]
     np.testing.assert_allclose([float(x.split()[0]) for x in heads], table.STEPS)
     last = {}
@@ -2342,11 +2396,13 @@ def test_the_shares_by_kind_and_row_are_those_of_the_page():
         np.testing.assert_allclose([float(x) for x in shown], expected, atol=0.00501)
 
 
-def test_the_page_of_rough_ground_says_what_its_runs_say():
+def test_the_pages_of_rough_ground_say_what_their_runs_say():
     """What a known end is worth, the controls on the way, ANYmal-C's boxes, whether PPO is later."""
     table, folder = script("28_rough/table"), EXPERIMENTS / "28_rough"
-    page = " ".join((folder / "README.md").read_text().split())
-    lines = (folder / "README.md").read_text().splitlines()
+    heights, ppo, tail = (
+        " ".join((folder / f"{name}.md").read_text().split()) for name in ("heights", "ppo", "tail")
+    )
+    lines = (folder / "tail.md").read_text().splitlines()
     rows = [*table.rows(folder / "results/fresh.csv.xz"), *table.rows()]
     of = {}
     for row in rows:
@@ -2360,7 +2416,7 @@ def test_the_page_of_rough_ground_says_what_its_runs_say():
     p = []
     for robot, words in worth.items():
         both = ends[f"{robot}-known"], ends[f"{robot}-no-end"]
-        assert words in page
+        assert words in tail
         told = [float(x) for x in re.findall(r"\d\.\d+", words)]
         p.append(stats.welch_of(*both))
         np.testing.assert_allclose(told[:3], 100 * np.array(stats.difference(*both)), atol=0.051)
@@ -2389,24 +2445,24 @@ def test_the_page_of_rough_ground_says_what_its_runs_say():
         ("anymal_c-best", "94, 86, 66, 52, 48 and 22 %"),
         ("anymal_c-ppo-4096", "90, 90, 71, 56, 45 and 26 %"),
     ):
-        assert words in page
+        assert words in heights
         told = [int(x) for x in re.findall(r"\d+", words)]
         np.testing.assert_allclose(told, 100 * by_row(name, "boxes")[4:], atol=0.51)
-    assert "91 % of the middle rows' boxes in the mean" in page
+    assert "91 % of the middle rows' boxes in the mean" in heights
     assert by_row("anymal_c-ppo-4096", "boxes", 10)[4:6].mean() == pytest.approx(0.91, abs=0.005)
     counts = [
         sum(table.at_level(table.shares(row)) for row in s)
         for s in of["anymal_c-ppo-4096"].values()
     ]
-    assert (min(counts), max(counts)) == (3, 5) and "three to five of 30 evaluations" in page
-    assert "it climbs in 7 % at its end, with 4096 robots in 94 %; `best` in 49 %" in page
+    assert (min(counts), max(counts)) == (3, 5) and "three to five of 30 evaluations" in heights
+    assert "it climbs in 7 % at its end, with 4096 robots in 94 %; `best` in 49 %" in ppo
     for name, share in (("go2-ppo-1024", 7), ("go2-ppo-4096", 94), ("go2-best", 49)):
         assert 100 * by_row(name, "pit_stairs")[7] == pytest.approx(share, abs=0.51)
     # every seed of PPO after every seed of `best`
     paces = table.paces()
-    for ppo, best in table.PPO.items():
+    for name, best in table.PPO.items():
         for i in (0, 1, 3) if best == "go2-best" else (0, 1):
-            one, other = paces[ppo].when[:, i], paces[best].when[:, i]
+            one, other = paces[name].when[:, i], paces[best].when[:, i]
             assert one.min() > other.max()
             p = {3: 0.007, 2: 0.03}[len(one)]
             assert stats.rank_sum(one, other) <= p + 5e-4

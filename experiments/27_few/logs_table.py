@@ -1,6 +1,6 @@
 """What five seeds of logs.py gained from a log: returns before, and after so many iterations of the policy.
 
-    python experiments/27_few/logs_table.py                       # the table of README.md, of logs/seeds.csv
+    python experiments/27_few/logs_table.py                       # the table of logs.md, of logs/seeds.csv
     python experiments/27_few/logs_table.py --pack FOLDER ...     # makes that file of what logs.py wrote
 
 A row a case, length of log and noise on the readings: means over seeds of return and falls, and the lowest

@@ -1,4 +1,4 @@
-"""How far runs on rough ground get: README.md's tables, from results/*.csv.xz.
+"""How far runs on rough ground get: the tables of README.md and the pages beside it, from results/*.csv.xz.
 
     python experiments/28_rough/table.py [results/FILE.csv.xz | OUT_FOLDER] [--robots] [--batch NAME]
     python experiments/28_rough/table.py --ppo
