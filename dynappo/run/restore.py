@@ -75,7 +75,10 @@ def weights(source: Path, like: Any, say: Callable[[str], None] = print) -> tupl
     alone = not any(name.startswith("learner/params/critic") for name in there)
     params = like.learner.params
     if alone:
-        say(f"--restore={source} holds a policy alone: its value function starts untrained")
+        say(
+            f"--restore={source} holds a policy alone: its value function starts untrained; "
+            "--config.ppo.value_first=50 lets it learn for 50 iterations before the policy does"
+        )
     some = {name: part for name, part in params.items() if not (alone and name == "critic")}
     found = _taken(source, some, there, "policy", "learner/params")
     learner = like.learner.replace(params=params | found)

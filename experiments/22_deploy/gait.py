@@ -12,6 +12,8 @@ Seven commands of 6 s in C MuJoCo, the first second left out. Prints a row a pol
   its toe moves, too, and so does one that has just landed or is about to lift
 - slide: the same without the first and the last 20 ms of the time that a foot is below 4 mm
 - load: the mean normal force of the foot that carries most, over that of the one that carries least
+- front, left: the load of front over that of hind feet, of left over that of right ones
+- front of standing: the same of a robot that stands in its default pose, which follows from where its mass is
 """
 
 import sys
@@ -46,6 +48,7 @@ def measure(policy) -> dict[str, float]:
     torques, speeds, changes, clearances, work, way = [], [], [], [], 0.0, 0.0
     scuffs, slides, load = [], [], np.zeros(len(body.foot_names))
     shapes = [int(np.flatnonzero(body.foot_of == foot)[0]) for foot in range(len(load))]
+    standing, front, left = stand(body, shapes)
     for command in stress.commands(policy)[1:]:
         data, heights, paces = mujoco.MjData(model), [], []
         episode.reset(body, data)
@@ -82,7 +85,28 @@ def measure(policy) -> dict[str, float]:
         "scuff m/s": np.quantile(scuffs, 0.9),
         "slide m/s": np.quantile(slides, 0.9),
         "load": load.max() / load.min(),
+        "front": share(load, front),
+        "left": share(load, left),
+        "front of standing": standing,
     }
+
+
+def stand(body, shapes: list[int]) -> tuple[float, np.ndarray, np.ndarray]:
+    """What front feet carry over what hind feet do in the default pose, which feet are in front, which left.
+
+    Forces at the ground balance about the middle of the mass: front / hind is the distance of the hind feet
+    from it over that of the front feet.
+    """
+    data = mujoco.MjData(body.model)
+    episode.reset(body, data)
+    x, y = (data.geom_xpos[shapes] - data.subtree_com[body.base_body])[:, :2].T
+    front = x > 0
+    return -x[~front].mean() / x[front].mean(), front, y > 0
+
+
+def share(load, feet) -> float:
+    """The load of these feet over that of the others."""
+    return load[feet].sum() / load[~feet].sum()
 
 
 def inside(low, steps: int) -> np.ndarray:
