@@ -1833,6 +1833,23 @@ def test_a_fit_that_stops_sees_its_own_robots_alone_and_moves_the_moments_once()
     np.testing.assert_allclose(found.inputs.weight, once, rtol=1e-5)
 
 
+def test_peers_have_the_task_of_a_config():
+    """The robots of SAC, CrossQ and FastTD3: observations, rewards and ends are those of the environment."""
+    sac = script("24_off_policy/sac")
+    args = types.SimpleNamespace(config="go1:few", set=["physics.impl=c"], gain=1.5)
+    trained, evaluated = sac.robots(args)
+    assert (trained.observation_size, trained.action_size) == (48, 12)
+    assert (
+        float(trained._hyper.task.noise.joint_vel)
+        > 0
+        == float(evaluated._hyper.task.noise.joint_vel)
+    )
+    state = jax.eval_shape(trained.reset, jax.random.split(jax.random.PRNGKey(0), 3))
+    after = jax.eval_shape(trained.step, state, jax.ShapeDtypeStruct((3, 12), jnp.float32))
+    assert state.obs.shape == after.obs.shape == after.info["next_obs"].shape == (3, 48)
+    assert after.reward.shape == after.done.shape == after.metrics["falls"].shape == (3,)
+
+
 @pytest.mark.slow  # of an experiment that has been run
 def test_crossq_renormalises_batches_and_knows_the_probability_of_its_actions():
     """In training a batch's own moments at first; later, while they are near the running ones, what an

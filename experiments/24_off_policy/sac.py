@@ -23,8 +23,11 @@ from brax.training.agents.sac import train as sac_train
 
 from dynappo import algorithm, scores
 from dynappo import config as config_lib
+from dynappo.description import motors
+from dynappo.description import robot as robot_lib
 from dynappo.program import devices
 from dynappo.run import log
+from dynappo.tasks import of_robots
 from experiments import paper
 
 EPISODES, LENGTH = 100, 1000  # of an evaluation
@@ -153,14 +156,13 @@ def train(args: argparse.Namespace) -> None:
 
 def robots(args: argparse.Namespace) -> tuple[Robots, Robots]:
     """Those that are trained, and those of the evaluation."""
-    from dynappo.program import build
-
     name, _, variant = args.config.partition(":")
     config = config_lib.load(f"configs/{name}.py:{variant}")
     for text in args.set:
         config_lib.override(config, *text.split("=", 1))
     config = config_lib.validate(config)
-    config, _, env, _ = build._environment(config, None, devices.engine(config))
+    config, robot = motors.fitted(config, robot_lib.load(config.robot))
+    env = of_robots.make(config, robot, impl=devices.engine(config))
     _, hyper = config_lib.split(config)
     evaluated = Robots(env, scores.nominal(hyper), args.gain, False)
     return Robots(env, hyper, args.gain, True), evaluated
