@@ -1833,6 +1833,18 @@ def test_a_fit_that_stops_sees_its_own_robots_alone_and_moves_the_moments_once()
     np.testing.assert_allclose(found.inputs.weight, once, rtol=1e-5)
 
 
+def test_the_solver_of_an_anymal_on_varied_ground_has_as_many_iterations_as_it_needs(monkeypatch):
+    """4 do not do, 10 do (01_four_robots, solver.txt): a few states of its experiment."""
+    solver = script("01_four_robots/solver")
+    monkeypatch.setattr(solver, "WALKS", 3)
+    monkeypatch.setattr(solver, "STEPS", 40)
+    few, _, most = solver.errors("anymal_c", (0.2, 0.4)).T
+    assert (few > 0.01).any() and (most < 1e-9).all()
+    for robot, variant in itertools.product(("anymal_c", "anymal_d"), ("deploy", "laptop")):
+        physics = config_lib.load(f"{robot}:{variant}").physics
+        assert physics.iterations == solver.ITERATIONS[-1]
+
+
 def test_peers_have_the_task_of_a_config():
     """The robots of SAC, CrossQ and FastTD3: observations, rewards and ends are those of the environment."""
     sac = script("24_off_policy/sac")
