@@ -715,6 +715,7 @@ function main() {
     $("measures").tBodies[0].replaceChildren(...texts);
     $("seconds").textContent = (scene.rows * scene.dt).toFixed(1);
     state.held = 0;
+    shown = "";
     seek(0);
     play(true);
   });
@@ -722,6 +723,7 @@ function main() {
   scrub($("chart"), (share) => (play(false), seek(share * last)));
 
   let before = performance.now(), late = -4;  // the first pictures take longer
+  let shown = "";  // what the last picture showed: a page at rest draws nothing
   document.addEventListener("visibilitychange", () => {  // a hidden page draws nothing: not slow
     before = performance.now();
     late = -4;
@@ -743,7 +745,10 @@ function main() {
       const goal = aim(state.row), pull = state.playing ? 1 - Math.exp(-passed * 12) : 1;
       camera.target = camera.target.map((x, k) => mix(x, goal[k], pull));
     }
-    show(passed);
+    const sizes = [canvas, $("chart")].map((part) => [part.clientWidth, part.clientHeight]);
+    const next = JSON.stringify([state, camera, sizes, devicePixelRatio]);
+    if (next !== shown) show();
+    shown = next;
     requestAnimationFrame(frame);
   }
   function show() {

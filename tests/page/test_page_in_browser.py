@@ -88,6 +88,23 @@ def test_it_plays_and_stops_by_button_and_key(tab):
     play(tab, False)
 
 
+def test_a_page_at_rest_draws_nothing(tab):
+    """A notebook may hold many pages."""
+    play(tab, False)
+    tab.value(
+        "(() => { const p = WebGL2RenderingContext.prototype, clear = p.clear; window.cleared = 0;"
+        " p.clear = function (bits) { window.cleared++; return clear.call(this, bits); }; })()"
+    )
+    frames = "new Promise(r => { let n = 3; const on = () => n-- ? requestAnimationFrame(on) : r(0); on(); })"
+    tab.value(frames)  # what was still to be drawn
+    tab.value("window.cleared = 0")
+    tab.value(frames)
+    assert tab.value("window.cleared") == 0
+    play(tab, True)
+    tab.until("window.cleared > 1")
+    play(tab, False)
+
+
 def test_a_drag_along_the_chart_moves_in_time(tab):
     play(tab, False)
     x, y, width = tab.value(
