@@ -116,7 +116,7 @@ STATED = {  # name -> where, and the words
         ("README.md", "PPO alone with 2048 robots takes {:.1f} and"),
         ("docs/results.md", "PPO with 2048 robots is at 38 after {:.1f} s"),
         ("docs/speed.md", "H200: Go1 is at 38 after {:.1f} instead of"),
-        (ROW_COST, "settings for seconds is faster: {:.2f} instead of"),
+        (ROW_COST, "its fastest setting, is faster: {:.2f} instead of"),
     ],
     "go1 PPO seconds to a walk": [
         ("README.md", "and {:.1f} s, for"),

@@ -720,12 +720,14 @@ def test_what_the_parts_of_few_are_worth_is_as_the_page_says():
             else:
                 assert mine[0] == first_of(*job)
                 assert shows(mine[1], falls_of(*job, 26e3, 34.2e3)), (job, mine)
-    for part, *shown in (("whole", "0.4", "0.8"), ("memory", "2.8")):
-        for letter, falls in zip("hd", shown, strict=False):
-            assert (
-                shows(falls, falls_of("one-commit", f"part-{part}-{letter}"))
-                and f"| {falls} % |" in page
-            )
+    both = page.split("Go2 and ANYmal-D, the same seeds")[1].split("\n- ")[0]
+    both = {cells(line)[0]: cells(line)[1:] for line in both.splitlines() if "|" in line}
+    for label, letter, falls in (
+        ("nothing: `few`", "whole-h", both["nothing: `few`"][1]),
+        ("nothing: `few`", "whole-d", both["nothing: `few`"][4]),
+        ("a memory", "memory-h", both["a memory"][1]),
+    ):
+        assert shows(falls, falls_of("one-commit", f"part-{letter}")), (label, letter)
     never = few_of("one-commit", "part-memory-d")[1].level / 1e3
     gone = np.isnan(never).sum()
     bad = [
@@ -962,6 +964,12 @@ def test_the_seconds_of_the_humanoid_are_those_of_its_runs(humanoid):
     found = {}
     for engine, robots, seed, walks, seconds, ms in humanoid.printed["engine"]:
         found.setdefault((engine == "kernel", robots), {})[int(seed)] = walks, seconds, ms
+    last = {}  # falls of the last evaluation, and after how many steps
+    for engine, robots, rows in humanoid.table.runs_alone():
+        told = f"{100 * float(rows[-1]['fall_rate']):.1f} %"
+        steps = float(rows[-1]["sim_steps"]) / 1e6
+        where = {(told, f"{steps:.{k}f} M") for k in (1, 2)} | {(told, "the end")}
+        last.setdefault((engine == "kernel", robots), set()).update(where)
     page = rows_on("seconds", "Seconds")
     for label, own, name, seeds in (
         ("`best`, ten seeds (900 to 909)", True, "best", range(900, 910)),
@@ -978,6 +986,8 @@ def test_the_seconds_of_the_humanoid_are_those_of_its_runs(humanoid):
     ):
         some = [found[own, name][seed] for seed in seeds]
         _, walks, seconds, ms = page.pop(label)
+        for falls, where in re.findall(r"([\d.]+ %) (?:falls )?at (the end|[\d.]+ M)", walks):
+            assert (falls, where) in last[own, name], label
         for cell, column in ((walks, 0), (seconds, 1)):
             values = [run[column] for run in some if run[column] not in ("never", "-")]
             bare = re.sub(
