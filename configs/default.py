@@ -530,7 +530,7 @@ def lift_feet(
 ) -> None:
     """Pay for high feet in our own variants, on flat ground: weights of `foot_clearance`, and of `deploy` the
     weight and the height in m. There a robot pays by and by: at once such weights keep ANYmals from walking,
-    and a seed in ten still falls at iteration 500. What they cost: experiments/22_deploy."""
+    and a seed in ten still falls at iteration 500. What they cost: experiments/22_deploy/feet.md."""
     # no log tells how high a foot was
     weights = {"": best, "best": best, "few": best, "laptop": laptop}
     if variant in weights:
@@ -582,7 +582,7 @@ def _logs(config: config_dict.ConfigDict) -> None:
 
 
 def _deploy(config: config_dict.ConfigDict) -> None:
-    """`best` for a robot of metal (robots/DEPLOY.md). What each part is worth: experiments/22_deploy."""
+    """`best` for a robot of metal (robots/DEPLOY.md). What was tried: experiments/22_deploy/tried.md."""
     _best(config)
     task, weights = config.task, config.task.weights
     # 45 numbers that a robot measures, of the last five steps; value and model see the state

@@ -25,6 +25,7 @@ COLUMNS = "name value unit hardware date commit source".split()
 HEADLINE = "experiments/21_less/results/headline.csv.xz"
 HUMANOID = "experiments/25_humanoid/results/tuning.csv.xz"
 SECONDS = "experiments/30_row_cost/results/alone.csv.xz"
+ROW_COST = "experiments/30_row_cost/README.md"
 ROUGH = "experiments/28_rough/results/fresh.csv.xz"
 FEW = "experiments/27_few/results/gpu.csv.xz"
 LAPTOP = "experiments/04_laptop/results/make_train.txt"
@@ -103,44 +104,54 @@ STATED = {  # name -> where, and the words
         ("README.md", "follows commands after {:.1f} s of training"),
         ("docs/results.md", "alone on an H200 is at 38 after {:.1f} s"),
         ("docs/speed.md", "38 after 56 iterations, {:.1f} s;"),
+        (ROW_COST, "instead of {:.2f} s to the level and 0.77"),
     ],
     "go1 seconds to a walk": [
         ("README.md", "s of training and walks after {:.1f}"),
         ("docs/results.md", "s and walks after {:.1f} (mean of five fresh seeds"),
         ("docs/speed.md", "s; walks after {:.1f} s (H200, five seeds)"),
+        (ROW_COST, "instead of {:.2f} to a walk, for"),
     ],
     "go1 PPO seconds to 38": [
         ("README.md", "PPO alone with 2048 robots takes {:.1f} and"),
         ("docs/results.md", "PPO with 2048 robots is at 38 after {:.1f} s"),
         ("docs/speed.md", "H200: Go1 is at 38 after {:.1f} instead of"),
+        (ROW_COST, "its fastest setting, is faster: {:.2f} instead of"),
     ],
     "go1 PPO seconds to a walk": [
         ("README.md", "and {:.1f} s, for"),
         ("docs/results.md", "and walks after {:.1f}. Where a row"),
         ("docs/speed.md", "walks after {:.1f} instead of"),
+        (ROW_COST, "the level and {:.2f} instead of"),
     ],
     "go1 fast PPO's steps to 38, by best's": [
         ("README.md", "s, for {:.0f} and"),
         ("docs/speed.md", "but {:.0f} times the simulator steps"),
+        (ROW_COST, "a walk, for {:.0f} and"),
     ],
     "go1 fast PPO's steps to a walk, by best's": [
         ("README.md", "and {:.0f} times the steps"),
+        (ROW_COST, "and {:.0f} times the steps."),
     ],
     "go1 seconds to 38, MuJoCo Warp": [
         ("README.md", "with MuJoCo Warp's own step it is {:.1f} instead of"),
         ("docs/results.md", "at 38 after {:.1f} instead of"),
+        (ROW_COST, "`best` is faster: {:.2f} instead of"),
     ],
     "go1 PPO seconds to 38, MuJoCo Warp": [
         ("README.md", "instead of {:.1f} s, and"),
         ("docs/results.md", "instead of {:.1f} s, and walks"),
+        (ROW_COST, "instead of {:.2f} s to the level and 3.45"),
     ],
     "go1 seconds to a walk, MuJoCo Warp": [
         ("README.md", "and {:.1f} instead of"),
         ("docs/results.md", "s, and walks after {:.1f} instead of"),
+        (ROW_COST, "to the level and {:.2f} instead of 5.52"),
     ],
     "go1 PPO seconds to a walk, MuJoCo Warp": [
         ("README.md", "instead of {:.1f} to a walk"),
         ("docs/results.md", "instead of {:.1f} (five seeds"),
+        (ROW_COST, "instead of {:.2f} to a walk. Before"),
     ],
     "go2 crosses": [
         ("README.md", "crosses {:.0%} of all tiles of stairs"),

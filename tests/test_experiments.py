@@ -2,9 +2,11 @@
 and tables on numbers known by hand. What trains is `-m slow`: every folder's `run.py --quick`, twice.
 """
 
+import contextlib
 import csv
 import functools
 import importlib
+import io
 import itertools
 import json
 import lzma
@@ -141,15 +143,65 @@ def test_the_page_of_the_peers_has_the_numbers_of_its_runs(drawn, monkeypatch, c
 ROW_COST = "30_row_cost"
 
 
-def test_the_page_of_seconds_has_the_tables_of_its_runs(monkeypatch, capsys):
+def test_the_pages_of_seconds_have_the_tables_of_their_runs(monkeypatch, capsys):
+    """All runs in runs.md, `best` beside PPO on the page; no row is left out, and none is there twice."""
     monkeypatch.setattr(sys, "argv", ["table.py"])
     script(f"{ROW_COST}/table").main()
-    page = (EXPERIMENTS / ROW_COST / "README.md").read_text().replace("*", "")
-    rows = [line.strip("| ").split(" | ") for line in capsys.readouterr().out.splitlines()]
-    rows = [cells for cells in rows if cells[0].startswith(("go", "g1", "anymal"))]
-    assert len(rows) >= 45
-    for cells in rows:
-        assert " | ".join(cells[1:]) in page, cells
+    places = ("| go", "| g1", "| anymal")
+    for name, printed in zip(
+        ("runs", "README"), capsys.readouterr().out.strip().split("\n\n"), strict=True
+    ):
+        page = (EXPERIMENTS / ROW_COST / f"{name}.md").read_text().splitlines()
+        rows = [line for line in printed.splitlines() if line.startswith(places)]
+        assert len(rows) >= (45 if name == "runs" else 5)
+        assert rows == [line for line in page if line.startswith(places)]
+
+
+def test_what_the_pages_of_seconds_say_in_words_is_so():
+    """The short tables of settings.md and computed.md; how many settings ran; what rows and the rest cost."""
+    table, folder = script(f"{ROW_COST}/table"), EXPERIMENTS / ROW_COST
+    found = table.runs()
+    run = {(one.place, one.batch, one.method): one for one in found}
+    pages = {
+        name: " ".join((folder / f"{name}.md").read_text().split())
+        for name in ("README", "settings", "computed")
+    }
+    assert f"all {len(found)} settings that ran" in pages["README"]
+    own = "H200, 2026-11-27"
+    for label, method in (
+        ("two rounds, 2048 robots", "best-r2n2048"),
+        ("one round, 2048 robots", "best-r1n2048"),
+        ("`best`", "best"),
+        ("PPO, 2048 robots", "ppo2048"),
+    ):
+        one = run["go1.kernel", f"{own}, second host", method]
+        level, walks = np.nanmean(one.level[:, 2]), np.nanmean(one.walks[:, 2])
+        never = int(np.isnan(one.walks[:, 2]).sum())
+        more = {0: "", 2: " (two of five seeds do not)"}[never]
+        assert f"| {label} | {level:.2f} | {walks:.2f}{more} |" in pages["settings"]
+    sooner = stats.difference(
+        *(run["go1.kernel", f"{own}, second host", m].level[:, 2] for m in ("best", "best-r2n2048"))
+    )
+    text = "two rounds are at the level {:.2f} s sooner ({:.2f} to {:.2f})"
+    assert text.format(*sooner) in pages["settings"]
+    power = table.power_of("go1.warp")
+    dear = table.cost(found, run["go1.warp", own, "best"])
+    for label, method in (("`best`", "best"), ("PPO, 2048 robots", "ppo2048")):
+        measured = run["go1.warp", own, method]
+        for goal, way in (("to the level", lambda one: one), ("to a walk", table.to_walk)):
+            older, then = (
+                f"{table.later(way(one), table.cost(found, one), dear, power).mean():.1f} "
+                for one in (run["go1.kernel", batch, method] for batch in (table.H100, own))
+            )
+            older = older if goal == "to the level" else ""  # of then `best` does not walk yet
+            slow = table.interval(way(measured).level[:, 2])
+            assert f"| {label}, {goal} | {older}| {then}| {slow} |" in pages["computed"]
+    rows = [
+        (run["go1.kernel", own, m].level[:, 1] / run["go1.kernel", own, m].robots).mean()
+        for m in ("best", "ppo2048", "ppo256")
+    ]
+    text = "needs {:.0f} rows of 1024 robots with `best`, and {:.0f} of 2048 or {:.0f} of 256"
+    assert text.format(*rows) in pages["README"]
 
 
 def test_seconds_and_steps_are_drawn_over_the_cost_of_a_row(drawn):
@@ -570,6 +622,386 @@ def test_the_tables_of_few_robots_are_those_of_their_runs():
         ]
     whole = of_runs["part-whole-d"]
     assert rows["nothing: `few`"][4::2] == [whole[0], f"{whole[1]} of 5"]
+
+
+def shows(text, *values):
+    """Whether the numbers in a cell are these, each to the digits that it has; what is halfway may go up or
+    down."""
+    numbers = re.findall(r"(?<![\w.])\d+(?:\.\d+)?", text)
+    digits = [len(number.partition(".")[2]) for number in numbers]
+    return len(numbers) == len(values) and all(
+        abs(float(number) - value) <= 0.5 * 10.0**-count + 1e-9
+        for number, count, value in zip(numbers, digits, values, strict=True)
+    )
+
+
+@functools.cache
+def few_jobs(batch):
+    """Jobs of a batch of 27_few by name."""
+    return script("27_few/table").read(EXPERIMENTS / "27_few/results/gpu.csv.xz", batch)
+
+
+@functools.cache
+def few_of(batch, name):
+    """Of a job of 27_few: seeds, and where each is first at its level and walks."""
+    table = script("27_few/table")
+    seeds = table.runs.seeds(few_jobs(batch)[name])
+    return seeds, table.runs.reached(seeds, table.level_of(seeds[0]))
+
+
+def first_of(batch, name):
+    """Thousand steps to the level, mean and last seed, as the pages have them."""
+    level = few_of(batch, name)[1].level / 1e3
+    return f"{level.mean():.1f} ({level.max():.1f})"
+
+
+def falls_of(batch, name, least=0.0, most=np.inf):
+    """Per cent of episodes with a fall in the last four evaluations, or in the four between these steps."""
+    seeds = few_of(batch, name)[0]
+    some = [[r["fall_rate"] for r in run if least <= r["sim_steps"] <= most][-4:] for run in seeds]
+    assert {len(run) for run in some} == {4} and {len(run) for run in seeds} != {4}
+    return 100 * np.mean(some)
+
+
+def test_how_many_few_robots_need_which_steps_is_as_the_page_says():
+    few, page = script("27_few/table"), (EXPERIMENTS / "27_few/README.md").read_text()
+    text = " ".join(page.split())
+    rows = {cells(line)[0]: cells(line)[1:] for line in page.splitlines() if "|" in line}
+    jobs = {"16": ("robots", "robots16"), "64": ("commands", "few-940-g")}
+    jobs |= {f"{count}": ("robots", f"robots{count}") for count in (256, 1024)}
+    jobs["1024, `best`"] = "rows", "best-g"
+    for label, job in jobs.items():
+        seeds, reached = few_of(*job)
+        first, minutes, iterations = rows[label]
+        assert first == first_of(*job)
+        assert shows(minutes, reached.level.mean() / 3000)
+        at = few.runs.reached(seeds, few.level_of(seeds[0]), "iteration").level
+        assert shows(iterations, at.mean()), (label, at.mean())
+        held = {"64": range(940, 950), "1024, `best`": range(5)}.get(label, range(3))
+        assert [run[0]["seed"] for run in seeds] == [*held]
+    four = [few_of("one-commit", f"robots-4-{x}")[1] for x in "gc"]
+    level = [f"{one.level.mean() / 1e3:.1f}" for one in four]
+    last = [f"{one.level.max() / 1e3:.1f}" for one in four]
+    assert (
+        f"after {level[0]} k steps (the last seed {last[0]}), which is three robot-minutes" in text
+    )
+    assert f"and a quarter, ANYmal-C after {level[1]} ({last[1]}). All six walk." in text
+    assert shows("3.25", four[0].level.mean() / 3000)
+    assert (
+        np.isfinite([one.walks for one in four]).all()
+        and np.isfinite(
+            np.concatenate([few_of("robots", f"robots16{x}")[1].walks for x in ("", "c")])
+        ).all()
+    )
+    assert f"(two seeds): {first_of('robots', 'robots16c')}" in text
+    memory = [
+        few_of("rows", f"best-{x}")[1].level.mean() / 1e3 for x in ("memory-g", "memory-c", "c")
+    ]
+    assert "(`best-memory`: {:.1f} k, ANYmal-C {:.1f} instead of {:.1f} k)".format(*memory) in text
+
+
+def test_what_the_parts_of_few_are_worth_is_as_the_page_says():
+    """One part taken out; and what took the last falls away, falls and how many of five walk."""
+    page = (EXPERIMENTS / "27_few/parts.md").read_text()
+    one, last = page.split("## What takes the last falls away")
+    one = one.split("Go2 and ANYmal-D, the same seeds")[0]
+    rows, ends = (
+        {cells(line)[0]: cells(line)[1:] for line in part.splitlines() if "|" in line}
+        for part in (one, last)
+    )
+    parts = {"nothing: `few`": "whole", "new commands": "commands", "a memory": "memory"}
+    parts["smaller steps late (half of the KL)"] = "late"
+    assert rows.keys() - {"without", "---"} == parts.keys()
+    for label, part in parts.items():
+        for letter, mine in (("g", rows[label][:2]), ("c", rows[label][2:])):
+            job = "parts-cut", f"part-{part}-{letter}"
+            if mine == ["never: NaN"]:
+                assert np.isnan(few_of(*job)[1].level).all()
+            else:
+                assert mine[0] == first_of(*job)
+                assert shows(mine[1], falls_of(*job, 26e3, 34.2e3)), (job, mine)
+    both = page.split("Go2 and ANYmal-D, the same seeds")[1].split("\n- ")[0]
+    both = {cells(line)[0]: cells(line)[1:] for line in both.splitlines() if "|" in line}
+    for label, letter, falls in (
+        ("nothing: `few`", "whole-h", both["nothing: `few`"][1]),
+        ("nothing: `few`", "whole-d", both["nothing: `few`"][4]),
+        ("a memory", "memory-h", both["a memory"][1]),
+    ):
+        assert shows(falls, falls_of("one-commit", f"part-{letter}")), (label, letter)
+    never = few_of("one-commit", "part-memory-d")[1].level / 1e3
+    gone = np.isnan(never).sum()
+    bad = [
+        next(r["sim_steps"] / 1e3 for r in run if r["fall_rate"] == 1 and r["return"] == 0)
+        for run in few_of("one-commit", "part-memory-d")[0]
+    ]
+    known = f"{np.nanmean(never):.1f}, {gone} never; all NaN, at evaluations from {min(bad):.0f} to"
+    assert f"| {known} {max(bad):.0f} k on | | 0 of 5 |" in page
+    names = {
+        "nothing (batch `wide`, tails of 16, at 45 to 53 k)": "i64rows2",
+        "new commands, half of the KL after 160 iterations, as today": "commands-late",
+        "new commands": "end-commands",
+        "five rounds, half of the KL": "end-rounds5late",
+        "five rounds": "end-rounds5",
+        "KL 0.03": "end-kl3",
+        "entropy 0.005": "end-entropy5",
+        "32 robots, 128 imagined": "end-robots32",
+        "256 imagined": "end-imagined256",
+        "half of the KL after 160 iterations": "end-late",
+        "a quarter of the KL": "end-late4",
+        "4 real rows, tails of 32": "end-rows4tail32",
+        "episodes of 5 s": "end-episode250",
+    }
+    assert ends.keys() - {"`few` without new commands, and", "---"} == names.keys()
+    for label, name in names.items():
+        for letter, cell in zip("gc", ends[label], strict=True):
+            job = "wide" if name == "i64rows2" else "end", f"{name}-{letter}"
+            walk = [np.isfinite(few_of(*job)[1].walks).sum()] if job[0] == "end" else []
+            assert shows(cell, falls_of(*job), *walk), (job, cell)
+    text = " ".join(last.split())
+    assert f"({few_of('end', 'end-rounds5-g')[1].level.mean() / 1e3:.1f} k on Go1)" in text
+    best = [
+        few_of("best-commands", f"best-{name}-{x}")[1].level.mean() / 1e3
+        for x in "gc"
+        for name in ("commands", "now")
+    ]
+    assert "{:.0f} instead of {:.0f} k (Go1) and {:.0f} instead of {:.0f} k".format(*best) in text
+
+
+HUMANOID = EXPERIMENTS / "25_humanoid"
+
+
+@pytest.fixture(scope="module")
+def humanoid():
+    """What the table script of 25_humanoid prints of each table: rows of cells by the first heading's cell,
+    or by the heading above."""
+    table, lines = script("25_humanoid/table"), io.StringIO()
+    with contextlib.redirect_stdout(lines):
+        table.main()
+    found, title = {}, ""
+    for block in lines.getvalue().strip().split("\n\n"):
+        if not block.startswith("|"):
+            title = block
+            continue
+        head, _, *rows = map(cells, block.splitlines())
+        found[title or head[0] or head[1]] = rows
+    return types.SimpleNamespace(table=table, printed=found)
+
+
+def rows_on(page, heading=None):
+    """Rows of the tables of a page of 25_humanoid, by their first cell; of a section alone."""
+    text = (HUMANOID / f"{page}.md").read_text()
+    if heading:
+        text = text.split(f"## {heading}\n")[1].split("\n## ")[0]
+    lines = [cells(line) for line in text.splitlines() if line.startswith("|")]
+    return {row[0]: row[1:] for row in lines if "---" not in row[0]}
+
+
+def walks_in(text):
+    """Lists of steps in a cell of walks: `2.58, 4.30; 2.70, never`."""
+    return [part.split(", ") for part in text.split("; ")]
+
+
+def test_the_tables_of_the_humanoid_are_those_of_its_runs(humanoid):
+    """Ten seeds; what the model, and each part, is worth; how policies walk; the model's errors; what was
+    tried before."""
+    printed = humanoid.printed
+    fresh = {tuple(row[:2]): row[2:] for row in printed["batch"]}
+    page = rows_on("README", "Ten seeds")
+    for label, key in (
+        ("`best`", ("fresh", "`best`")),
+        ("`ppo`", ("fresh", "`ppo`")),
+        ("seeds 900 to 909: `best`", ("fresh-900", "`best`")),
+        ("`ppo` with 8 minibatches", ("fresh-900", "`ppo`")),
+    ):
+        assert page.pop(label) == fresh[key], label
+    assert len(page) == 1  # the head
+    warp, own = fresh["fresh-warp", "`best`"], fresh["fresh-900", "`best`"]
+    text = " ".join((HUMANOID / "README.md").read_text().split())
+    assert f"after {warp[0]} M ({warp[1]}), on our kernel after {own[0].rstrip('0')}" in text
+    runs = {row[0]: row[1:] for title in humanoid.table.PARTS for row in printed[title]}
+
+    def agrees(name, walks, numbers):
+        """`numbers`: m/s, rad/s and falls of the end; the script has more digits of each."""
+        _, each, total, *ends = runs[name]
+        bare, _, of = walks.partition(" in ")  # "never in 3.3 M"
+        said = "never" if {*each.split(", ")} == {"never"} else each
+        ends = [float(end.removesuffix(" %")) for end in ends]
+        return bare == said and shows(numbers, *ends) and (not of or shows(of, float(total)))
+
+    page = rows_on("README", "What the model is worth")
+    for label, name in (
+        ("the model, from the robots' last states", "control-last"),
+        ("the simulator, from the last states, not counted", "control-simulator"),
+        ("nothing, 5 epochs", "control-real4-5"),
+        ("nothing, 15 epochs: as many updates", "control-real4-15"),
+        ("24 real rows, 5 epochs", "control-real24-5"),
+        ("24 real rows, 15 epochs", "control-real24-15"),
+    ):
+        assert agrees(name, *page.pop(label)), label
+    assert page.pop("the model, from real rows drawn at random (`best`)") == [runs["whole"][1]]
+    assert len(page) == 1
+    page = rows_on("parts", "What each part is worth")
+    for label, name in (
+        ("`best`", "whole"),
+        ("8 of 24 rows real", "real8"),
+        ("16 real", "real16"),
+        ("two rounds", "rounds2"),
+        ("one round", "rounds1"),
+        ("no clean states, and the critic sees what the actor sees", "no-clean"),
+        ("the critic alone", "critic"),
+        ("the reward is predicted as a whole", "no-known"),
+        ("no symmetry", "no-symmetry"),
+    ):
+        assert agrees(name, *page.pop(label)), label
+    assert page.pop("the model predicts no falls") == ["never", "all fall"]
+    assert runs["no-falls"][1:] == ["never, never, never", "1.68", "nan", "nan", "100.0 %"]
+    assert len(page) == 1
+    errors = {
+        row[0].partition(" (")[0]: row[1:] for row in printed["1, 4, 20 predictions in a row"]
+    }
+    assert rows_on("parts", "The model's error").items() >= errors.items() and len(errors) == 6
+    gait = {row[0]: row[1:] for row in printed["policy"]}
+    page = rows_on("gait", "Measures")
+    assert page.pop("policy")[:2] == ["strides /s", "at 1 m/s"] and page == gait
+    before = {row[0]: row[1:] for row in printed["What was tried before"]}
+    before |= {"deploy-930": runs["deploy-930"]}
+    page = rows_on("tried")
+    assert page.pop("run") and page == {k: v for k, v in before.items() if k[:4] != "lap-"}
+
+
+def test_the_grid_of_ppo_on_the_humanoid_is_that_of_its_runs(humanoid):
+    """Each cell of walks, in the table's order: of the left columns, then of the right ones."""
+    runs = {row[0]: row[2].split(", ") for row in humanoid.printed["PPO's settings"]}
+    names = """r128 base+u-base r512 h12 r1024 r2048 r4096 r8192 mb2 mb8+u-mb8 u-mb12 u-mb16+u-mb24 u-mb8gam97
+        v-p512mb8+v-p512mb12 v-p1024mb8+v-p1024mb12 v-p1024h12mb8 v-p2048mb8+v-p2048mb12ep3
+        ep3 ep8+u-ep8 ep10+ep15 kl2+kl3+kl6 gam95+gam97 lam9+lam98 ent5 h16+u-h16 h32 u-h16mb8 u-h16gam97
+        u-h16lam98 u-mb12ep3 u-mb12ep8 u-mb12kl3+u-mb12kl6 v-p1024mb8kl6+v-p1024mb8g97 v-p1024mb8ep3"""
+    names = [
+        [name if name[:2] in ("u-", "v-") else f"z-{name}" for name in cell.split("+")]
+        for cell in names.split()
+    ]
+    text = (HUMANOID / "ppo.md").read_text()
+    lines = [cells(line) for line in text.splitlines() if line.startswith("|")][2:]
+    shown = [row[1] for row in lines] + [row[3] for row in lines]
+    assert {len(row) for row in lines} == {4}
+    for mine, cell in zip(names, shown, strict=True):
+        assert walks_in(cell) == [runs[name] for name in mine], mine
+    assert sorted(sum(names, [])) == sorted(runs)
+    assert {len(walks) for walks in runs.values()} <= {2, 4}
+
+
+def test_the_tables_of_the_humanoid_for_hardware_are_those_of_its_files(humanoid):
+    """Runs under disturbances by name; `--stress` of g1; what is said of g1_deploy and of five seeds."""
+    runs = {row[0]: row[2:] for row in humanoid.printed["For hardware"]}
+    checked = 0
+    for label, row in rows_on("hardware", "For hardware").items():
+        if found := re.match(r"`(\w+)`", label):
+            walks, total, *ends = row[3:]
+            all_walks, all_steps, *all_ends, _ = runs[found[1]]
+            said = "never" if {*all_walks.split(", ")} == {"never"} else all_walks
+            assert walks == said and shows(total, float(all_steps)), label
+            for mine, value in zip(ends, all_ends, strict=True):
+                assert shows(mine, float(value)), label
+            checked += 1
+    assert checked == 14
+    rows = [row for row in humanoid.table.read("tuning.csv.xz") if row["name"] == "deploy-700"]
+    steps, errors, yaw_errors, falls = humanoid.table.evaluations(rows)
+    walks = stats.reached_by_tracking(steps, errors, yaw_errors, falls).walks
+    page = " ".join((HUMANOID / "hardware.md").read_text().split())
+    (at,) = {*walks}
+    before = steps[steps[:, 0] < at][-1, 0]
+    assert (
+        f"after {at / 1e6:.1f} M steps, and none does at that before, after {before / 1e6:.1f} M"
+        in page
+    )
+    assert f"{errors[-1].mean():.2f} m/s and {yaw_errors[-1].mean():.2f} rad/s off" in page
+    assert not falls[-1].any() and f"tracks worst ({errors[-1].max():.3f} m/s)" in page
+    assert errors[-1].argmax() == 2  # seed 702, which is bundled
+    told = {}
+    for name in ("stress", "stress_deploy"):
+        told[name] = json.loads((HUMANOID / f"results/{name}.json").read_text())["rows"]
+    mine = {x["stress"]: f"{x['falls']}; {x['tracking_error']:.2f}" for x in told["stress"]}
+    text = (HUMANOID / "hardware.md").read_text().split("## Disturbances")[1]
+    lines = [cells(line) for line in text.splitlines() if line.startswith("|")][2:]
+    shown = {row[k]: row[k + 1] for row in lines for k in (0, 2)}
+    seen = []
+    for label, names in (
+        ("none; steps of 2 ms; other solvers and cones", None),
+        ("actions, or sensors, 20 ms late", ["actions 20 ms late", "sensors 20 ms late"]),
+        ("actions 0 to 40 ms late", ["actions 0 to 40 ms late"]),
+        ("actions 40 ms late; both 20 ms late", ["actions 40 ms late", "both 20 ms late"]),
+        ("noise of training", ["noise of training"]),
+        ("steps of 10 ms", ["steps of 10 ms"]),
+        ("friction 0.15, 0.3, 1.2", ["friction 0.15", "friction 0.3", "friction 1.2"]),
+        ("5 kg more, less", ["5 kg more", "5 kg less"]),
+        ("motors at 80, 120 %", ["motors at 80 %", "motors at 120 %"]),
+        ("pushes of 0.5, 1 m/s", ["pushes of 0.5 m/s", "pushes of 1 m/s"]),
+        ("its velocity read as zero, half", ["velocity read as zero", "velocity read as half"]),
+        ("all together", ["all together"]),
+    ):
+        names = names or [
+            "none",
+            "steps of 2 ms",
+            *(n for n in mine if "cone" in n or "solver" in n),
+        ]
+        asked = ", ".join(mine[name] for name in names)
+        one = {mine[name] for name in names}
+        assert shown.pop(label) in (asked, *(one if len(one) == 1 else ())), label
+        seen += names
+    assert not shown and sorted(seen) == sorted(mine)
+    ours = {x["stress"]: x["falls"] for x in told["stress_deploy"]}
+    assert len(ours) == 23 and {x: n for x, n in ours.items() if n} == {
+        "pushes of 1 m/s": 1,
+        "steps of 10 ms": 7,
+    }
+    rest = ours.keys() - {"pushes of 1 m/s", "steps of 10 ms"}
+    fell = sum(x["falls"] for x in told["stress"] if x["stress"] in rest)
+    assert f"falls {fell} times in these {len(rest)}" in page
+
+
+def test_the_seconds_of_the_humanoid_are_those_of_its_runs(humanoid):
+    """A row a line, from the runs alone on a card: where they walk, seconds, ms an iteration."""
+    found = {}
+    for engine, robots, seed, walks, seconds, ms in humanoid.printed["engine"]:
+        found.setdefault((engine == "kernel", robots), {})[int(seed)] = walks, seconds, ms
+    last = {}  # falls of the last evaluation, and after how many steps
+    for engine, robots, rows in humanoid.table.runs_alone():
+        told = f"{100 * float(rows[-1]['fall_rate']):.1f} %"
+        steps = float(rows[-1]["sim_steps"]) / 1e6
+        where = {(told, f"{steps:.{k}f} M") for k in (1, 2)} | {(told, "the end")}
+        last.setdefault((engine == "kernel", robots), set()).update(where)
+    page = rows_on("seconds", "Seconds")
+    for label, own, name, seeds in (
+        ("`best`, ten seeds (900 to 909)", True, "best", range(900, 910)),
+        ("with 3 epochs and KL 0.04, seed 950", True, "best, 3 epochs", [950]),
+        ("with 2 minibatches, seeds 950 to 954", True, "best, 2 minibatches", range(950, 955)),
+        ("`ppo`, seeds 950, 951", True, "PPO, 256", [950, 951]),
+        ("PPO, 8 minibatches, seed 900", True, "PPO, 512", [900]),
+        ("PPO, 4 minibatches, seeds 900, 950, 951", True, "PPO, 1024", [900, 950, 951]),
+        ("PPO, 12 rows, 8 minibatches, seeds 950 to 952", True, "PPO, 1024 x 12", range(950, 953)),
+        ("the same, 3 epochs, seed 950", True, "PPO, 1024 x 12, 3 epochs", [950]),
+        ("PPO, 12 rows, 8 minibatches, seed 950", True, "PPO, 2048 x 12", [950]),
+        ("PPO, 4 minibatches, seed 900", True, "PPO, 4096", [900]),
+        ("with MuJoCo Warp's own step: `best`, seeds 170 to 172", False, "best", range(170, 173)),
+    ):
+        some = [found[own, name][seed] for seed in seeds]
+        _, walks, seconds, ms = page.pop(label)
+        for falls, where in re.findall(r"([\d.]+ %) (?:falls )?at (the end|[\d.]+ M)", walks):
+            assert (falls, where) in last[own, name], label
+        for cell, column in ((walks, 0), (seconds, 1)):
+            values = [run[column] for run in some if run[column] not in ("never", "-")]
+            bare = re.sub(
+                r"[\d.]+ % falls at (the end|[\d.]+ M)|; one falls .*|, -|; -|^-$", "", cell
+            )
+            bare = bare.strip(" ,;")
+            ends = f"{min(values)} to {max(values)}" if values else ""
+            once = [*dict.fromkeys(values)]
+            assert bare in (ends, ", ".join(values), *(once if len(once) == 1 else ())), label
+        assert shows(ms, np.mean([float(run[2]) for run in some])), label
+    _, walks, seconds = page.pop("PPO, seed 170, evaluated two to five times: upper bounds")
+    some = [found[False, f"PPO, {robots}"][170] for robots in (256, 512, 2048)]
+    assert [walks, seconds] == ["; ".join(run[k] for run in some) for k in (0, 1)]
+    assert len(page) == 1
 
 
 def test_brax_gets_playgrounds_settings():
@@ -1100,8 +1532,8 @@ def test_the_table_of_feet_lifted_by_and_by_is_that_of_its_runs():
                 at = runs.setdefault((row["name"], int(row["iteration"])), [])
                 at.append((100 * float(row["fall_rate"]), float(row["return"])))
     printed = (folder / "ramp.txt").read_text()
-    page = (folder / "README.md").read_text()
-    part = page.split("## Higher feet, by and by")[1].split("## How they walk")[0]
+    page = (folder / "feet.md").read_text()
+    part = page.split("## Higher feet, by and by")[1].split("\n## ")[0]
     lines = [
         cells(line)
         for line in part.splitlines()
@@ -1131,14 +1563,14 @@ def test_the_table_of_feet_lifted_by_and_by_is_that_of_its_runs():
         (("None", "400"), "2.55 in the end"),
     ):
         assert f"{float(told[key]['episode_return']):.2f}" == text.split()[0] and text in " ".join(
-            part.split()
+            page.split()
         )
     assert [round(float(told["0.05", at]["share"]), 2) for at in ("30", "370")] == [0.01, 1.0]
 
 
 def test_the_pages_of_the_bundled_policies_and_of_a_still_robot_have_the_numbers_of_their_files():
     """gait.txt and benchmark.txt are what the scripts of those names printed."""
-    page = (EXPERIMENTS / "22_deploy/README.md").read_text()
+    page = (EXPERIMENTS / "22_deploy/gait.md").read_text()
     for line in (EXPERIMENTS / "22_deploy/gait.txt").read_text().splitlines():
         name, *values = re.findall(r"^\w+|[\d.]+(?=,|$)", line)
         row = next(cells(one) for one in page.splitlines() if one.startswith(f"| `{name}` |"))[1:]
@@ -1163,6 +1595,193 @@ def test_the_pages_of_the_bundled_policies_and_of_a_still_robot_have_the_numbers
     assert best["fall_rate"] == laptop["fall_rate"] == 0
     row = f"1000 episodes, tracking error {best['tracking_error']:.2f} m/s | "
     assert f"{row}{best['return']:.1f} | {laptop['return']:.1f} |" in page
+
+
+DEPLOY = EXPERIMENTS / "22_deploy"
+
+
+def tables_of(page):
+    """Rows of cells of each table of a page of 22_deploy, the head first."""
+    found, last = [], ""
+    for line in (DEPLOY / f"{page}.md").read_text().splitlines():
+        if line.startswith("|") and "|---" not in line:
+            if not last.startswith("|"):
+                found.append([])
+            found[-1].append([cell.strip() for cell in line.replace("**", "").split("|")[1:-1]])
+        last = line
+    return found
+
+
+@functools.cache
+def packed(name):
+    """`(batch, name) -> seed -> rows` of a packed file of 22_deploy."""
+    found = {}
+    with lzma.open(DEPLOY / f"{name}.csv.xz", "rt", newline="") as file:
+        for row in csv.DictReader(file):
+            job = found.setdefault((row["batch"], row["name"]), {})
+            job.setdefault(row["seed"], []).append(row)
+    return found
+
+
+def column(job, name):
+    """Of a job's seeds and evaluations, `[S, E]`."""
+    return np.array([[float(row[name]) for row in rows] for rows in job.values()])
+
+
+def test_the_disturbances_of_the_policies_for_hardware_are_those_of_their_files():
+    """All of them in disturbances.md; some on the page and in DEPLOY.md; nothing falls, as the page says."""
+    table = script("22_deploy/table")
+    printed = [
+        [cell.strip() for cell in line.split("|")[1:-1]]
+        for line in table.table(table.NAMES).splitlines()
+        if "|---" not in line
+    ]
+    (mine,) = tables_of("disturbances")
+    assert mine == printed and len(mine) == 26
+    rows = {row[0]: dict(zip(printed[0], row, strict=True)) for row in printed}
+    head, *short = tables_of("README")[0]
+    assert len(short) == 9
+    for row in short:
+        assert row == [rows[row[0]][name] for name in head], row
+    guide = (ROOT / "robots/DEPLOY.md").read_text().split("## Under disturbances")[1]
+    lines = [cells(line) for line in guide.split("\n## ")[0].splitlines() if line[:1] == "|"]
+    assert len(lines) > 9
+    g1 = json.loads((HUMANOID / "results/stress_deploy.json").read_text())["rows"]
+    g1 = {row["stress"]: table.cell(row) for row in g1}
+    for label, *some in lines[2:]:
+        for policy, cell in zip(lines[0], some, strict=True):  # its first cell is empty
+            known = g1[label] if policy == "g1_deploy" else rows[label][policy]
+            assert cell.replace(" falls", "").replace(" fall", "") == known, (label, policy)
+    of_four = [name for name in table.NAMES if name.endswith("_deploy")]
+    assert {rows[x][name][:3] for x in rows if x for name in of_four} == {"0; ", ""}
+    bare = [float(rows["none"][name].split("; ")[1]) for name in of_four]
+    assert max(bare) == 0.06
+    text = " ".join((DEPLOY / "README.md").read_text().split())
+    assert (
+        "any of 16 disturbances, nor in 6 other physics" in text
+    )  # and the bare row, and go1's two
+    assert len(rows) - 1 == 1 + 16 + 6 + 2
+
+
+def test_the_steps_of_the_policies_for_hardware_are_those_of_their_runs():
+    table = script("21_less/table")
+    jobs = table.read(DEPLOY / "deploy.csv.xz")
+    full = [row for part in tables_of("steps") for row in part]
+    short = tables_of("README")[2]
+    for label, name in (
+        ("Go1, PPO", "go1-ppo"),
+        ("Go1, `deploy`", "go1"),
+        ("Go2, `deploy`", "go2"),
+        ("ANYmal-C, PPO", "anymal_c-ppo"),
+        ("ANYmal-C, `deploy`", "anymal_c"),
+        ("ANYmal-D, `deploy`", "anymal_d"),
+    ):
+        mine = {name: jobs[name]}
+        row = cells(table.table(mine, table.best(jobs[name])).splitlines()[2])[1:]
+        row = [*row[:7], *row[8:]]  # the highest return is not on the page
+        assert [label, *row] in full, label
+        assert [label, *row[4:9]] in short, label
+    assert len(full) == 8 and len(short) == 7
+    steps = [
+        f"{np.mean([table.first(run, 30) for run in table.seeds(jobs[name])]) / 1e6:.3g}"
+        for name in ("go1", "go1-ppo")
+    ]
+    text = " ".join((DEPLOY / "README.md").read_text().split())
+    assert f"a return of 30 after {float(steps[0]):.1f} M" in text
+    assert f"not tuned, after {float(steps[1]):.0f} M" in text
+    go2 = column({"503": packed("deploy")["1", "go2"]["503"]}, "fall_rate")[0]
+    at = column({"503": packed("deploy")["1", "go2"]["503"]}, "iteration")[0]
+    assert not go2[(at >= 200) & (at <= 650)].any() and round(100 * go2[-1]) == 21
+
+
+def test_the_fresh_seeds_for_hardware_fall_as_their_page_says():
+    """With the ramp and in brackets without it, whose seeds that learn late are left out of the end."""
+    rows, worst = tables_of("seeds")[0][1:], 0
+    assert len(rows) == 4
+    for robot, row in zip(paper.ROBOTS, rows, strict=True):
+        shown = []
+        for batch in "43":
+            job = packed("deploy")[batch, f"{robot}-bundled"]
+            falls, ends = 100 * column(job, "fall_rate"), column(job, "return")[:, -1]
+            assert list(column(job, "iteration")[0]) == [100 * k for k in range(1, 8)]
+            late = falls[:, 5] > 50
+            shown.append(
+                [
+                    falls[:, 0].mean(),
+                    falls[:, 1].mean(),
+                    falls[:, 2:].max(),
+                    ends[~late].mean(),
+                    late.sum(),
+                ]
+            )
+            worst = max(worst, falls[:, 1].max()) if batch == "4" else worst
+            if late.any():
+                assert f"{falls[late, -1][0]:.0f}" == {"go2": "12", "anymal_d": "27"}[robot]
+                assert f"{falls[late, 4][0]:.0f}" == {"go2": "80", "anymal_d": "78"}[robot]
+        for cell, values in zip(row[1:], zip(*shown, strict=True), strict=True):
+            assert shows(cell.removesuffix(" of 5"), *values), (robot, cell, values)
+    text = " ".join((DEPLOY / "README.md").read_text().split())
+    assert f"more than {worst:.1f} % of its episodes after 200 iterations" in text
+    job = packed("tuning")["ramped", "ramped1.2h12-c"]
+    falls, ends = 100 * column(job, "fall_rate"), column(job, "return")[:, -1]
+    told = " ".join((DEPLOY / "seeds.md").read_text().split())
+    found = re.search(r"batch `ramped`\): (.*?)\. ##", told)
+    assert shows(found[1], falls[:, 0].mean(), falls[:, 1].mean(), falls[:, 2:].max(), ends.mean())
+
+
+def test_what_was_tried_for_hardware_is_as_its_pages_say():
+    """What a policy sees; weights of feet of `best`; clearance and benchmark of the fresh seeds."""
+    rows, jobs = tables_of("tried")[0][1:], packed("tuning")
+    names = "full full-s h1-o h1-s h3-s h5-s h10-s h5-o h5-s-ppo".split()
+    for name, (_, steps, end) in zip(names, rows, strict=True):
+        job = jobs["observation", name]
+        returns, at = column(job, "return"), column(job, "sim_steps")
+        first = [x[y >= 20][0] / 1e6 for x, y in zip(at, returns, strict=True)]
+        assert shows(steps, np.mean(first)) and shows(end, returns[:, -1].mean()), name
+    with_best = tables_of("feet")[1]
+    checked = 0
+    for weight, *row in with_best[1:]:
+        for letter, cell in zip("ghcd", row, strict=True):
+            if cell:
+                name = f"best{weight.removesuffix(' (before)').lstrip('-')}-{letter}"
+                returns, at = (column(jobs["heights", name], x) for x in ("return", "sim_steps"))
+                level = 38 if letter in "gh" else 24
+                first = [x[y >= level][0] / 1e3 for x, y in zip(at, returns, strict=True)]
+                end, thousand = cell.split(";")[0].split(", ")
+                assert shows(end, returns[:, -1].mean()), (name, end, returns[:, -1].mean())
+                assert shows(thousand, np.mean(first)), (name, thousand, np.mean(first))
+                checked += 1
+    assert checked == 12
+    printed = (DEPLOY / "fresh.txt").read_text()
+    names = "go1-bundled go2-bundled anymal_c-bundled ramped1.2h12-c anymal_d-bundled".split()
+    for name, row in zip(names, tables_of("feet")[3][1:], strict=True):
+        of = re.escape(name)
+        found = re.findall(rf"^{of}\.\d .*clearance cm ([\d.]+)", printed, re.M)
+        assert len(found) == 5 and shows(row[1], *map(float, found)), name
+        found = re.findall(rf"^{of}\.\d(?:\.npz)? .* return ([\d.]+)", printed, re.M)
+        assert sorted(row[2].split(", ")) == sorted(f"{float(x):.1f}" for x in found), name
+    # what was asked for, of the bundled policies
+    asked = {row[0]: row[2:] for row in tables_of("README")[1]}
+    gait = {line.split()[0]: line for line in (DEPLOY / "gait.txt").read_text().splitlines()}
+    lost = {row[0]: row[3] for row in tables_of("gait")[1]}
+    for k, (robot, label) in enumerate(paper.ROBOTS.items()):
+        mine = {
+            key: float(value)
+            for key, value in re.findall(
+                r"([a-z /]+?) (?:cm |m/s )?([\d.]+)(?:,|$)", gait[f"{robot}_deploy"]
+            )
+        }
+        mine = {key.strip(): value for key, value in mine.items()}
+        assert shows(asked["feet of `deploy`"][k], mine["clearance"])
+        assert f"{asked['return lost'][k]} %" == lost[label.removeprefix("Unitree ")]
+        assert shows(asked["load of `deploy`, left over right feet"][k], mine["left"])
+        fore = asked["front over hind feet (standing)"][k]
+        assert shows(fore, mine["front"], mine["front of standing"])
+        scuff = asked["feet below 4 mm"][k].removesuffix(" but for 20 ms")
+        assert shows(scuff, mine["scuff"], mine["slide"]), scuff
+        feet = asked["feet of the others: `go1`, `go2`, ..."][k].split(",")[0]
+        (cm,) = re.findall(r"clearance cm ([\d.]+)", gait[robot])
+        assert shows(feet, float(cm))
 
 
 def test_the_bundled_policies_for_hardware_are_the_best_rows_of_their_file():

@@ -1,4 +1,4 @@
-"""The table of disturbances of this folder's page: falls of eight commands, and tracking error in m/s.
+"""The table of disturbances.md: falls of eight commands, and tracking error in m/s.
 
 dynappo evaluate go1_deploy --stress --out=OUT    # writes OUT/stress.json, here stress/go1_deploy.json
 python experiments/22_deploy/table.py [NAME ...]

@@ -1,6 +1,6 @@
 """Seconds and simulator steps to the level and to a walk, `best` beside PPO, by what a simulated row costs.
 
-    python experiments/30_row_cost/table.py                          # the tables of README.md
+    python experiments/30_row_cost/table.py                          # the tables of README.md and runs.md
     python experiments/30_row_cost/table.py --add BATCH FOLDER ...   # adds or replaces jobs of run.py
 
 Runs are those of results/alone.csv.xz, one at a time on their device, and those of 25_humanoid and 04_laptop
@@ -44,7 +44,7 @@ H100, H200, G1, CORES = (
     "H200, 2026-11-26",
     "two cores, 2026-11-22",
 )
-ROWS = {  # ms of a row of 1024 robots where runs do not have it; README.md says from where
+ROWS = {  # ms of a row of 1024 robots where runs do not have it; runs.md says from where
     ("go1.kernel", H100): 0.18,
     ("go1.kernel", H200): 0.18,
     ("g1.kernel", G1): 0.54,

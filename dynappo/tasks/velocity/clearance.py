@@ -2,7 +2,8 @@
 
 `task.clearance_start` at first; after each episode `task.clearance_ramp` more, after a fall as much less,
 from 0 to 1. Why: a policy that cannot walk yet touches down all the time, so a large weight keeps an ANYmal
-from walking at all (experiments/22_deploy). Each robot has its own share, so those that fall again pay less.
+from walking at all (experiments/22_deploy/feet.md). Each robot has its own share, so those that fall again
+pay less.
 
 Not a term of one's own (own.py): a run has one file of these, and that is the user's.
 """
