@@ -2464,6 +2464,44 @@ def test_the_solver_of_an_anymal_on_varied_ground_has_as_many_iterations_as_it_n
         assert physics.iterations == solver.ITERATIONS[-1]
 
 
+def test_the_table_of_other_methods_with_few_robots_is_that_of_its_runs():
+    found = {}
+    with (EXPERIMENTS / "27_few/peers.csv").open() as file:
+        for row in csv.DictReader(file):
+            pair = float(row["return"]), 100 * float(row["fall_rate"])
+            found.setdefault(row["method"], {}).setdefault(int(row["sim_steps"]), []).append(pair)
+    lines = (EXPERIMENTS / "27_few/peers.md").read_text().splitlines()
+    heads = [
+        cell.strip() for cell in next(x for x in lines if x.startswith("| method")).split("|")
+    ][3:-2]
+    steps = [
+        float(number) * {"k": 1e3, "M": 1e6}[unit] for number, unit, *_ in map(str.split, heads)
+    ]
+    for method, runs in found.items():
+        _, _, seeds, *cells, end, _ = (
+            cell.strip()
+            for cell in next(x for x in lines if x.startswith(f"| {method} |")).split("|")
+        )
+        shared = [at for at, pairs in runs.items() if len(pairs) == int(seeds)]
+        for at, cell in [*zip(steps, cells, strict=True), (max(shared), end.partition(": ")[2])]:
+            if cell:
+                near = min(shared, key=lambda x: abs(x - at))
+                got, falls = np.mean(runs[near], 0)
+                assert abs(near - at) < 0.1 * at and cell == f"{got:.1f}, {falls:.0f} %", (
+                    method,
+                    at,
+                )
+    best = {m: max(p[0] for pairs in r.values() for p in pairs) for m, r in found.items()}
+    assert (
+        best["PPO, 24 rows"]
+        > best["PPO, 96 rows"]
+        >= 38
+        > 17.6
+        > best["CrossQ"] - 0.1
+        > best["SAC"]
+    )
+
+
 def test_peers_have_the_task_of_a_config():
     """The robots of SAC, CrossQ and FastTD3: observations, rewards and ends are those of the environment."""
     sac = script("24_off_policy/sac")
