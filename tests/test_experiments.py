@@ -2464,6 +2464,20 @@ def test_the_solver_of_an_anymal_on_varied_ground_has_as_many_iterations_as_it_n
         assert physics.iterations == solver.ITERATIONS[-1]
 
 
+def test_the_solvers_errors_are_those_of_its_file():
+    page = (EXPERIMENTS / "01_four_robots/README.md").read_text()
+    lines = (EXPERIMENTS / "01_four_robots/solver.txt").read_text().splitlines()
+    assert len(lines) == 8
+    for line in lines:
+        robot, friction = re.match(r"(\w+) +friction ([^:]+):", line).groups()
+        label = paper.ROBOTS[robot].removeprefix("Unitree ")
+        row = next(x for x in page.splitlines() if x.strip().startswith(f"| {label}, {friction} |"))
+        found = re.findall(r"iterations ([\d.]+) % ([\d.]+)", line)
+        for cell, (share, worst) in zip(row.split("|")[2:-1], found, strict=True):
+            shown = [float(x) for x in re.findall(r"[\d.]+", cell)]
+            assert shown[0] == float(share) and abs(shown[1] - float(worst)) <= 0.006, line
+
+
 def test_the_table_of_other_methods_with_few_robots_is_that_of_its_runs():
     found = {}
     with (EXPERIMENTS / "27_few/peers.csv").open() as file:
