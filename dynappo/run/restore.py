@@ -76,8 +76,8 @@ def weights(source: Path, like: Any, say: Callable[[str], None] = print) -> tupl
     params = like.learner.params
     if alone:
         say(
-            f"--restore={source} holds a policy alone: its value function starts untrained; "
-            "--config.ppo.value_first=50 lets it learn for 50 iterations before the policy does"
+            f"--restore={source} holds a policy alone: its value function starts untrained, and learns for "
+            "ppo.value_first iterations before the policy does"
         )
     some = {name: part for name, part in params.items() if not (alone and name == "critic")}
     found = _taken(source, some, there, "policy", "learner/params")
