@@ -30,7 +30,11 @@ ROUGH = "experiments/28_rough/results/fresh.csv.xz"
 FEW = "experiments/27_few/results/gpu.csv.xz"
 LAPTOP = "experiments/04_laptop/results/make_train.txt"
 FRESH = "2026-11-27", "e01cca1"
-ALONE = "H200, 2026-11-27", "24fde7d"  # a batch of SECONDS, whose rows do not have its commit
+ALONE = (
+    "H200, 2026-11-27",
+    "24fde7d",
+)  # batches of SECONDS; rows of the first do not have its commit
+NEWER = "H200, 2026-11-28", "a00ece3"
 CORES = "two CPU cores", "2026-11-26"
 ROBOTS = {"go1": "g", "go2": "h", "anymal_c": "c", "anymal_d": "d"}
 STARTS = "an H200 and slower hosts", "2026-11-24", "", "experiments/03_speed/kernel.md"
@@ -153,6 +157,72 @@ STATED = {  # name -> where, and the words
         ("docs/results.md", "instead of {:.1f} (five seeds"),
         (ROW_COST, "instead of {:.2f} to a walk. Before"),
     ],
+    "go1 seconds to 38, exact task": [
+        ("README.md", "which needs that step, {:.1f} instead of"),
+        ("docs/results.md", "a Go1 is at 38 after {:.1f} instead of 5.5 s, an ANYmal-C"),
+        ("experiments/README.md", "at its level after {:.1f} instead of"),
+        (ROW_COST, "at the level after {:.2f} instead of 5.47"),
+    ],
+    "go1 PPO seconds to 38, exact task": [
+        ("README.md", "instead of {:.1f} s, on an ANYmal-C"),
+        ("docs/results.md", "instead of {:.1f} s, an ANYmal-C"),
+        ("experiments/README.md", "instead of {:.1f} s (Go1)"),
+        (ROW_COST, "instead of {:.2f} s on a Go1"),
+    ],
+    "go1 fast PPO's steps to 38, by best's, exact task": [(ROW_COST, "for {:.1f} and 11 times")],
+    "anymal_c seconds to 24, exact task": [
+        ("README.md", "on an ANYmal-C {:.1f} instead of"),
+        ("docs/results.md", "an ANYmal-C at 24 after {:.1f} instead of"),
+        ("experiments/README.md", "and {:.1f} instead of 7.5 (ANYmal-C)"),
+        (ROW_COST, "and after {:.2f} instead of 7.53"),
+    ],
+    "anymal_c PPO seconds to 24, exact task": [
+        ("README.md", "on an ANYmal-C 2.8 instead of {:.1f}"),
+        ("docs/results.md", "instead of {:.1f} (five seeds each;"),
+        ("experiments/README.md", "instead of {:.1f} (ANYmal-C)"),
+        (ROW_COST, "instead of {:.2f} s on an ANYmal-C"),
+    ],
+    "anymal_c fast PPO's steps to 24, by best's, exact task": [
+        (ROW_COST, "for 6.4 and {:.0f} times the steps"),
+    ],
+    "g1 seconds to its level": [
+        ("README.md", "after 3.13 instead of {:.2f} s"),
+        ("docs/results.md", "within the errors after {:.2f} s and walks"),
+        ("docs/speed.md", "within the errors after {:.2f} s, walks"),
+        ("experiments/README.md", "with PPO, after 3.13 instead of {:.2f} s"),
+        ("experiments/25_humanoid/README.md", "after 3.13 instead of {:.2f} s"),
+        ("experiments/25_humanoid/seconds.md", "and `best` after {:.2f} ±"),
+        (ROW_COST, "a G1 is at its level after {:.2f} s with `best`"),
+    ],
+    "g1 PPO seconds to its level": [
+        ("README.md", "sooner, after {:.2f} instead of"),
+        ("docs/results.md", "1024 robots and 12 rows after {:.2f} and"),
+        ("experiments/README.md", "with PPO, after {:.2f} instead of"),
+        ("experiments/25_humanoid/README.md", "than `best`, after {:.2f} instead of"),
+        ("experiments/25_humanoid/seconds.md", "within the errors after {:.2f} ±"),
+        (ROW_COST, "(ten fresh seeds) and {:.2f} with PPO (seven)"),
+    ],
+    "g1 fast PPO's steps to its level, by best's": [
+        ("docs/results.md", "for {:.1f} times the steps, and of a walk"),
+        ("experiments/25_humanoid/README.md", "for {:.1f} times the steps. To a walk"),
+        ("experiments/25_humanoid/seconds.md", "for {:.1f} times the steps. To a walk"),
+        (ROW_COST, "for {:.1f} times the steps. It breaks even"),
+    ],
+    "g1 seconds to a walk": [
+        ("README.md", "On an H200 it walks after {:.2f} s"),
+        ("docs/results.md", "and walks after {:.2f} (ten fresh seeds)"),
+        ("docs/speed.md", "walks after {:.2f} s (H200, ten seeds"),
+        ("experiments/25_humanoid/README.md", "3.59 and {:.2f} s, and no"),
+        ("experiments/25_humanoid/seconds.md", "± 0.59 and {:.2f} ±"),
+        (ROW_COST, "To a walk it is {:.2f} and 3.59 s"),
+    ],
+    "g1 PPO seconds to a walk": [
+        ("README.md", "walks after {:.2f} (seven seeds)"),
+        ("docs/results.md", "after 3.13 and {:.2f} (seven)"),
+        ("experiments/25_humanoid/README.md", "To a walk it is {:.2f} and"),
+        ("experiments/25_humanoid/seconds.md", "To a walk it is {:.2f} ±"),
+        (ROW_COST, "it is 3.75 and {:.2f} s, and no difference"),
+    ],
     "go2 crosses": [
         ("README.md", "crosses {:.0%} of all tiles of stairs"),
     ],
@@ -244,16 +314,23 @@ def humanoid():
 
 def seconds():
     table = importlib.import_module("experiments.30_row_cost.table")
-    found = [run for run in table.of_rows(table.read()) if run.batch == ALONE[0]]
-    for place, engine in (("go1.kernel", ""), ("go1.warp", ", MuJoCo Warp")):
-        best, ppos = table.settings(found, place)
+    every = table.of_rows(table.read())
+    walks = {"a walk": "walks"}
+    for (batch, commit), place, robot, engine, goals in (
+        (ALONE, "go1.kernel", "go1", "", {"38": "level"} | walks),
+        (ALONE, "go1.warp", "go1", ", MuJoCo Warp", {"38": "level"} | walks),
+        (NEWER, "go1.exact", "go1", ", exact task", {"38": "level"}),
+        (NEWER, "anymal_c.exact", "anymal_c", ", exact task", {"24": "level"}),
+        (NEWER, "g1.kernel", "g1", "", {"its level": "level"} | walks),
+    ):
+        best, ppos = table.settings([run for run in every if run.batch == batch], place)
         ppo = table.fastest(ppos)
-        for level, of in (("38", "level"), ("a walk", "walks")):
+        for level, of in goals.items():
             (_, few, mine), (_, steps, its) = (getattr(run, of).mean(0) for run in (best, ppo))
-            where = *ALONE[0].split(", "), ALONE[1], SECONDS
-            yield f"go1 seconds to {level}{engine}", f"{mine:.6g}", "s", *where
-            yield f"go1 PPO seconds to {level}{engine}", f"{its:.6g}", "s", *where
-            name = f"go1 fast PPO's steps to {level}, by best's{engine}"
+            where = *batch.split(", "), commit, SECONDS
+            yield f"{robot} seconds to {level}{engine}", f"{mine:.6g}", "s", *where
+            yield f"{robot} PPO seconds to {level}{engine}", f"{its:.6g}", "s", *where
+            name = f"{robot} fast PPO's steps to {level}, by best's{engine}"
             yield name, f"{steps / few:.6g}", "", *where
 
 

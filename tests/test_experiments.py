@@ -153,18 +153,19 @@ def test_the_pages_of_seconds_have_the_tables_of_their_runs(monkeypatch, capsys)
     ):
         page = (EXPERIMENTS / ROW_COST / f"{name}.md").read_text().splitlines()
         rows = [line for line in printed.splitlines() if line.startswith(places)]
-        assert len(rows) >= (45 if name == "runs" else 5)
+        assert len(rows) >= (58 if name == "runs" else 7)
         assert rows == [line for line in page if line.startswith(places)]
 
 
 def test_what_the_pages_of_seconds_say_in_words_is_so():
-    """The short tables of settings.md and computed.md; how many settings ran; what rows and the rest cost."""
+    """The short tables of settings.md and computed.md; how many settings ran; what rows and the rest cost;
+    how much sooner one is on a G1 and in the exact tasks, and which of these walk."""
     table, folder = script(f"{ROW_COST}/table"), EXPERIMENTS / ROW_COST
     found = table.runs()
     run = {(one.place, one.batch, one.method): one for one in found}
     pages = {
         name: " ".join((folder / f"{name}.md").read_text().split())
-        for name in ("README", "settings", "computed")
+        for name in ("README", "runs", "settings", "computed")
     }
     assert f"all {len(found)} settings that ran" in pages["README"]
     own = "H200, 2026-11-27"
@@ -202,6 +203,61 @@ def test_what_the_pages_of_seconds_say_in_words_is_so():
     ]
     text = "needs {:.0f} rows of 1024 robots with `best`, and {:.0f} of 2048 or {:.0f} of 256"
     assert text.format(*rows) in pages["README"]
+    newer, (g1, ppo) = "H200, 2026-11-28", ("g1.kernel", "ppo1024x12")
+    pair = [run[g1, newer, method] for method in ("best", ppo)]
+    (mine, its), (few, steps) = ([one.level[:, k] for one in pair] for k in (2, 1))
+    assert [len(mine), len(its)] == [10, 7]
+    text = "{:.2f} s ({:.2f} to {:.2f}), with".format(*stats.difference(mine, its))
+    text += " {:.2f} times the seconds ({:.2f} to {:.2f})".format(*stats.ratio(its, mine))
+    assert text + " and 5.1 times the steps" in pages["runs"]
+    gain, most, least = (100 * (1 - part) for part in stats.ratio(its, mine))
+    assert f"by {gain:.0f} % ({least:.0f} to {most:.0f})" in pages["README"]
+    text = "difference is {:.2f} s ({:.2f} to {:.2f})"
+    assert text.format(*stats.difference(*(one.walks[:, 2] for one in pair))) in pages["runs"]
+    gains, longer, cut, needs, rest = [], [], [], [], []
+    for place in ("go1.exact", "anymal_c.exact"):
+        pair = [run[place, newer, method] for method in ("best", "ppo2048")]
+        mine, its = (one.level[:, 2] for one in pair)
+        gains.append(stats.difference(its, mine))
+        longer.append(stats.ratio(its, mine))
+        cut.append(len(run[place, newer, "ppo512"].level))
+        rows = [one.level[:, 1] / one.robots for one in pair]
+        needs.append([some.mean() for some in rows])
+        rest.append(
+            [
+                np.mean((1e3 * one.level[:, 2] - some * one.row) / one.level[:, 0])
+                for one, some in zip(pair, rows, strict=True)
+            ]
+        )
+    text = "by {:.1f} s on a Go1 ({:.1f} to {:.1f}) and {:.1f} s on an ANYmal-C ({:.1f} to {:.1f})"
+    assert text.format(*gains[0], *gains[1]) in pages["runs"]
+    text = "takes {:.1f} ({:.1f} to {:.1f}) and {:.1f} times ({:.1f} to {:.1f}) as long"
+    assert text.format(*longer[0], *longer[1]) in pages["README"]
+    text = (
+        "needs {:.0f} rows of 1024 robots on a Go1 and {:.0f} on an ANYmal-C, PPO {:.0f} and {:.0f}"
+    )
+    assert text.format(*np.transpose(needs).ravel()) in pages["computed"]
+    text = "{:.1f} and {:.1f} ms an iteration with `best`, {:.1f} and {:.1f} with PPO"
+    assert text.format(*np.transpose(rest).ravel()) in pages["computed"]
+    walked = {
+        (place, method): int(np.isfinite(run[place, newer, method].walks[:, 2]).sum())
+        for place in ("go1.exact", "anymal_c.exact")
+        for method in ("best", "ppo512", "ppo1024", "ppo2048")
+    }
+    assert cut == [2, 4] and {key: n for key, n in walked.items() if n} == {
+        ("go1.exact", "best"): 2,
+        ("anymal_c.exact", "best"): 5,
+        ("anymal_c.exact", "ppo1024"): 1,
+    }
+    assert "All five ANYmal-C walk with `best`, two of five Go1" in pages["README"]
+
+
+def test_marks_of_rows_that_cost_nearly_the_same_stand_apart():
+    plot = script(f"{ROW_COST}/plot")
+    where = plot.apart([0.2, 2.2, 2.33, 2.44, 40.0])
+    assert where[[0, 4]] == pytest.approx([0.2, 40.0])
+    assert where[2:4] / where[1:3] == pytest.approx(plot.APART)
+    assert np.prod(where[1:4]) == pytest.approx(2.2 * 2.33 * 2.44)  # about where they were
 
 
 def test_seconds_and_steps_are_drawn_over_the_cost_of_a_row(drawn):

@@ -3,7 +3,8 @@
     python experiments/30_row_cost/plot.py
 
 Points are measured, lines computed from the runs of Go1 with our kernel (table.py). Both axes are
-logarithmic.
+logarithmic. Marks of places whose rows cost nearly the same would cover each other, so they stand a little
+aside (`apart`).
 """
 
 import importlib
@@ -28,6 +29,7 @@ LABELS = {  # place -> words
 }
 LOOKS = {"best": (pictures.BLUE, "o", "best"), "ppo": (pictures.BLACK, "s", "PPO")}
 DASHES = {"a GPU": "-", "two cores": (0, (4, 2))}
+APART = 1.25  # marks of two places stand at costs with this ratio, or a larger one
 TEXT = {"fontsize": 8, "color": "0.25", "linespacing": 1.1}
 
 
@@ -36,13 +38,12 @@ def main():
     page, ((seconds, steps),) = pictures.figure(1, 2, 4.6)
     computed(seconds, found)
     places = {}
-    for place in dict.fromkeys(run.place for run in found):
-        if not (both := table.settings(found, place)):
-            continue
-        best, ppos = both
-        ms, fast, few = table.cost(found, best), table.fastest(ppos), table.sparing(ppos)
-        number = len(places) + 1
-        places[f"{LABELS.get(place, place)}, {best.batch.partition(',')[0]}"] = number
+    pairs = [table.settings(found, place) for place in dict.fromkeys(run.place for run in found)]
+    pairs = [both for both in pairs if both]
+    costs = apart([table.cost(found, best) for best, _ in pairs])
+    for number, (ms, (best, ppos)) in enumerate(zip(costs, pairs, strict=True), 1):
+        fast, few = table.fastest(ppos), table.sparing(ppos)
+        places[f"{LABELS.get(best.place, best.place)}, {best.batch.partition(',')[0]}"] = number
         pair(seconds, ms, best.level[:, 2], fast.level[:, 2], number)
         pair(steps, ms, best.level[:, 1] / 1e6, few.level[:, 1] / 1e6, number)
         least = fast.level[:, 1].mean() / 1e6
@@ -81,9 +82,22 @@ def computed(axis, found) -> None:
     )
 
 
+def apart(costs: list[float]) -> np.ndarray:
+    """Where marks stand: costs, in order, moved until neighbours have a ratio of `APART` or more."""
+    where, least = np.log(costs), np.log(APART)
+    for _ in range(200):
+        short = np.maximum(least - np.diff(where), 0) / 2
+        where[:-1] -= short
+        where[1:] += short
+    return np.exp(where)
+
+
 def pair(axis, ms: float, best, ppo, number: int) -> None:
-    """`best` and PPO at a place, joined by a line, with t intervals where there are `table.OFTEN` seeds."""
-    means = []
+    """`best` and PPO at a place, joined by a line, with t intervals where there are `table.OFTEN` seeds;
+    below them its number."""
+    from matplotlib.patheffects import withStroke
+
+    means, ends = [], []
     for values, (colour, mark, _), beside in zip(
         (best, ppo), LOOKS.values(), (0.96, 1.04), strict=True
     ):
@@ -92,11 +106,12 @@ def pair(axis, ms: float, best, ppo, number: int) -> None:
         often = one.n >= table.OFTEN
         look = {"color": colour, "mfc": colour if often else "white", "ms": 6, "zorder": 4}
         bar = stats.half_of(one) if often else None
+        ends.append(one.mean - (bar or 0.0))
         axis.errorbar(ms * beside, one.mean, bar, fmt=mark, capsize=2.5, lw=1.2, **look)
     axis.plot([ms, ms], means, color="0.6", lw=0.8, zorder=1)
-    how = dict(textcoords="offset points", ha="right", va="center", fontsize=9, fontweight="bold")
-    behind = dict(boxstyle="round,pad=0.08", fc="white", ec="none", alpha=0.85)
-    axis.annotate(f"{number}", (ms * 0.96, means[0]), (-6, 0), bbox=behind, zorder=3, **how)
+    how = dict(textcoords="offset points", ha="center", va="top", fontsize=9, fontweight="bold")
+    rim = [withStroke(linewidth=2, foreground="white")]  # where a computed line goes by
+    axis.annotate(f"{number}", (ms, min(ends)), (0, -6), path_effects=rim, zorder=5, **how)
 
 
 def legend(page, places: dict[str, int]) -> None:

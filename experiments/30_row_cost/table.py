@@ -5,9 +5,9 @@
 
 Runs are those of results/alone.csv.xz, one at a time on their device, and those of 25_humanoid and 04_laptop
 that were. A name is PLACE.METHOD: a place is a robot, task and engine; METHOD is `best`, one with settings
-for seconds (`tune-`: on the seeds among which they are chosen), or `ppo` with its robots. BATCH says card and
-date; the clock of a seed that ran more than once is the median. What the level is, and a walk:
-dynappo/policy/walks.py.
+for seconds (`tune-`: on the seeds among which they are chosen), or `ppo` with its robots, at some places x
+its rows. BATCH says card and date; the clock of a seed that ran more than once is the median. What the level
+is, and a walk: dynappo/policy/walks.py.
 
 Computed: `later` gives a run's seconds if its rows cost more, from its own clock and rows. `break_even` is
 the cost at which `best` and the fastest PPO take equally long.
@@ -174,7 +174,8 @@ def of_humanoid() -> list[Run]:
             jobs["kernel" if engine == "kernel" else "warp", name].append(rows)
     found = []
     for (engine, name), each in jobs.items():
-        run = of_job(G1, f"g1.{engine}.{name.replace('PPO, ', 'ppo')}", each)
+        method = name.replace("PPO, ", "ppo").replace(" x ", "x")  # as jobs.txt names them
+        run = of_job(G1, f"g1.{engine}.{method}", each)
         count = int(name.split()[1].strip(",")) if "PPO" in name else 1024
         found.append(run._replace(robots=count))
     return found
@@ -188,7 +189,7 @@ def of_laptop() -> list[Run]:
             [row | {"sim_steps": row["steps"], "job": run["job"], "seed": k} for row in run["rows"]]
             for k, run in enumerate(laptop.runs(name))
         ]
-        method = "best" if name == "go1" else f"ppo512 x {name[3:]}"
+        method = "best" if name == "go1" else f"ppo512x{name[3:]}"
         found.append(of_job(CORES, f"go1.laptop.{method}", each))
     return found
 
