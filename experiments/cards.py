@@ -3,9 +3,10 @@
     python experiments/cards.py OUT_FOLDER experiments/next.txt a [--seconds 560]
 
 A line of the plan is `PART LANE SECONDS COMMAND ...`; those of the PART run. A lane is a card's number and a
-letter: 0a and 0b share card 0, and so do their cores, the host's divided by its cards. Runs whose seconds
-count have a card's only lane. `OUT` in a command is OUT_FOLDER. A command is ended after its SECONDS, or when
-`--seconds` of all are over, with all that it started: a run that was cut off keeps the rows that it has.
+letter: 0a and 0b share card 0, and so do their cores, the host's divided by its cards. They share its memory,
+too: each takes what it needs, where a lane alone takes most of it at once. Runs whose seconds count have a
+card's only lane. `OUT` in a command is OUT_FOLDER. A command is ended after its SECONDS, or when `--seconds`
+of all are over, with all that it started: a run that was cut off keeps the rows that it has.
 OUT_FOLDER/LANE.log has what a lane's commands said, and OUT_FOLDER.tar.xz all of the folder.
 """
 
@@ -57,7 +58,7 @@ def main():
     with ThreadPoolExecutor(len(lanes)) as pool:
         each = [[line for line in lines if line.lane == lane] for lane in lanes]
         # what a lane raises comes out when all have ended
-        list(pool.map(lambda mine: run_lane(args.out, mine, end, cards), each))
+        list(pool.map(lambda mine: run_lane(args.out, mine, end, cards, shared(lines, mine)), each))
     with tarfile.open(f"{args.out}.tar.xz", "w:xz", preset=3) as tar:
         tar.add(args.out, args.out.name)
 
@@ -78,7 +79,12 @@ def read(plan: Path) -> Iterable[Line]:
         yield line
 
 
-def run_lane(out: Path, lines: list[Line], end: float, cards: int) -> None:
+def shared(lines: list[Line], mine: list[Line]) -> bool:
+    """Whether the card of a lane has other lanes, too."""
+    return len({line.lane for line in lines if line.card == mine[0].card}) > 1
+
+
+def run_lane(out: Path, lines: list[Line], end: float, cards: int, shares: bool) -> None:
     """Run the commands of a lane, each until it is done, its seconds are over, or it is `end`."""
     with (out / f"{lines[0].lane}.log").open("a") as log:
         for line in lines:
@@ -87,18 +93,21 @@ def run_lane(out: Path, lines: list[Line], end: float, cards: int) -> None:
                 tell(log, line, "has not run: no time is left")
                 continue
             began = time.monotonic()
-            code = run(line, out, log, left, cards)
+            code = run(line, out, log, left, cards, shares)
             took = f"{time.monotonic() - began:.0f} s"
             tell(log, line, f"ended after {took}" if code is None else f"{took}, status {code}")
 
 
-def run(line: Line, out: Path, log, seconds: float, cards: int) -> int | None:
+def run(line: Line, out: Path, log, seconds: float, cards: int, shares: bool) -> int | None:
     """The command's exit status; None if it was ended."""
+    env = os.environ | {"CUDA_VISIBLE_DEVICES": str(line.card)}
+    if shares:  # else the first of JAX takes three quarters of the card, and the others end
+        env["XLA_PYTHON_CLIENT_PREALLOCATE"] = "false"
     process = subprocess.Popen(
         shlex.split(re.sub(r"\bOUT\b", str(out), line.command)),
         stdout=log,
         stderr=subprocess.STDOUT,
-        env=os.environ | {"CUDA_VISIBLE_DEVICES": str(line.card)},
+        env=env,
         start_new_session=True,  # so that what it starts ends with it
     )
     with contextlib.suppress(ProcessLookupError):  # it is over

@@ -27,12 +27,14 @@ def test_lanes_run_side_by_side_and_end_in_time(tmp_path, monkeypatch):
     plan.write_text(
         f"""# a comment
 a 0a 2 {sys.executable} -c "{child}"
-a 0a 9 sh -c 'echo card $CUDA_VISIBLE_DEVICES in OUT > OUT/second.txt'
+a 0a 9 sh -c 'echo card $CUDA_VISIBLE_DEVICES in OUT ${{XLA_PYTHON_CLIENT_PREALLOCATE-all}} > OUT/second.txt'
 a 1a 9 false
+a 1b 9 sh -c 'echo $XLA_PYTHON_CLIENT_PREALLOCATE > OUT/third.txt'
 b 0a 9 touch OUT/never.txt
 """
     )
     out = tmp_path / "out"
+    monkeypatch.delenv("XLA_PYTHON_CLIENT_PREALLOCATE", raising=False)
     monkeypatch.setattr(sys, "argv", ["cards.py", str(out), str(plan), "a", "--seconds", "60"])
     began = time.monotonic()
     cards.main()
@@ -40,7 +42,8 @@ b 0a 9 touch OUT/never.txt
     assert (tmp_path / "began").exists()
     running = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True).stdout
     assert "sleep 77" not in running.splitlines()
-    assert (out / "second.txt").read_text() == f"card 0 in {out}\n"
+    assert (out / "second.txt").read_text() == f"card 0 in {out} all\n"
+    assert (out / "third.txt").read_text() == "false\n"  # two lanes share the card
     assert "ended after" in (out / "0a.log").read_text()
     assert (out / "1a.log").read_text().endswith(", status 1\n")
     with tarfile.open(f"{out}.tar.xz") as tar:
@@ -48,13 +51,15 @@ b 0a 9 touch OUT/never.txt
             "out",
             "0a.log",
             "1a.log",
+            "1b.log",
             "second.txt",
+            "third.txt",
         }
 
 
 def test_where_no_time_is_left_a_command_does_not_begin(tmp_path):
     line = cards.Line("a", "0a", 9.0, f"touch {tmp_path}/never")
-    cards.run_lane(tmp_path, [line], time.monotonic() - 1, 1)
+    cards.run_lane(tmp_path, [line], time.monotonic() - 1, 1, False)
     assert "has not run" in (tmp_path / "0a.log").read_text()
     assert not (tmp_path / "never").exists()
 
