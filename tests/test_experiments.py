@@ -1752,7 +1752,7 @@ def test_the_steps_of_the_policies_for_hardware_are_those_of_their_runs():
 
 def test_the_fresh_seeds_for_hardware_fall_as_their_page_says():
     """With the ramp and in brackets without it, whose seeds that learn late are left out of the end."""
-    rows, worst = tables_of("seeds")[0][1:], 0
+    rows, worst = tables_of("seeds")[1][1:], 0
     assert len(rows) == 4
     for robot, row in zip(paper.ROBOTS, rows, strict=True):
         shown = []
@@ -1819,25 +1819,94 @@ def test_what_was_tried_for_hardware_is_as_its_pages_say():
     # what was asked for, of the bundled policies
     asked = {row[0]: row[2:] for row in tables_of("README")[1]}
     gait = {line.split()[0]: line for line in (DEPLOY / "gait.txt").read_text().splitlines()}
-    lost = {row[0]: row[3] for row in tables_of("gait")[1]}
+    lost = {row[0]: row[3] for row in tables_of("gait")[3]}
     for k, (robot, label) in enumerate(paper.ROBOTS.items()):
-        mine = {
-            key: float(value)
-            for key, value in re.findall(
-                r"([a-z /]+?) (?:cm |m/s )?([\d.]+)(?:,|$)", gait[f"{robot}_deploy"]
-            )
+        ahead = {
+            name: float(re.search(r"at 0.5 m/s cm ([\d.]+)", gait[name])[1])
+            for name in (robot, f"{robot}_deploy")
         }
-        mine = {key.strip(): value for key, value in mine.items()}
-        assert shows(asked["feet of `deploy`"][k], mine["clearance"])
+        printed = re.sub(r"clearance at .*?, ", "", gait[f"{robot}_deploy"])
+        found = re.findall(r"([a-z /]+?) (?:cm |m/s )?([\d.]+)(?:,|$)", printed)
+        mine = {key.strip(): float(value) for key, value in found}
+        assert shows(asked["feet of `deploy`"][k], ahead[f"{robot}_deploy"])
+        assert shows(asked["the same, median of seven commands"][k], mine["clearance"])
         assert f"{asked['return lost'][k]} %" == lost[label.removeprefix("Unitree ")]
         assert shows(asked["load of `deploy`, left over right feet"][k], mine["left"])
         fore = asked["front over hind feet (standing)"][k]
         assert shows(fore, mine["front"], mine["front of standing"])
         scuff = asked["feet below 4 mm"][k].removesuffix(" but for 20 ms")
         assert shows(scuff, mine["scuff"], mine["slide"]), scuff
-        feet = asked["feet of the others: `go1`, `go2`, ..."][k].split(",")[0]
-        (cm,) = re.findall(r"clearance cm ([\d.]+)", gait[robot])
-        assert shows(feet, float(cm))
+        assert shows(asked["feet of the others: `go1`, `go2`, ..."][k], ahead[robot])
+
+
+def test_more_of_high_feet_and_the_go2_of_more_changes_are_as_their_files_say():
+    """Five seeds a row: clearances and benchmarks of fresh.txt, falls and returns of the batch `solver`."""
+    jobs, printed = packed("tuning"), (DEPLOY / "fresh.txt").read_text()
+    names = "solver4-c solver10-c ramped1.8h12-c ramped1.8h13-c ramped1.5h14-c solver10-d ramped1.3h12-d"
+    last = lambda job, column_: column(job, column_)[:, -1].mean()  # noqa: E731
+    for name, row in zip(names.split(), tables_of("feet")[4][1:], strict=True):
+        of, job = re.escape(name), jobs["solver", name]
+        cm = re.findall(rf"^{of}\.\d .*clearance cm ([\d.]+)", printed, re.M)
+        assert len(cm) == 5 and shows(row[1], *map(float, cm)), name
+        found = re.findall(rf"^{of}\.(\d) fall_rate .* return ([\d.]+)", printed, re.M)
+        told = re.findall(r"([\d.]+) \(7\d(\d)", row[2])
+        assert sorted((seed, float(x)) for x, seed in told) == sorted(
+            (seed, float(x)) for seed, x in found
+        )
+        assert shows(row[3], 100 * last(job, "fall_rate")) and shows(row[4], last(job, "return"))
+    bundled = json.loads((ROOT / "robots/go2/policy.json").read_text())
+    rows = tables_of("seeds")[0][1:]
+    for name, row in zip(
+        ("best0.2-h-changes", "best0.2-h-long", "best0.2-h-bundled"), rows, strict=False
+    ):
+        of = re.escape(name)
+        falls = dict(re.findall(rf"^{of}\.(\d) falls after (\d+) of 600", printed, re.M))
+        cm = dict(re.findall(rf"^{of}\.(\d) .*clearance cm ([\d.]+)", printed, re.M))
+        seeds = sorted(falls)
+        assert shows(row[1], *(float(falls[seed]) for seed in seeds)), name
+        assert shows(row[2], *(float(cm[seed]) for seed in seeds)), name
+        batch = "ramped" if name.endswith("bundled") else "solver"
+        assert shows(row[3], last(jobs[batch, name], "return")), name
+        if name == "best0.2-h-changes":
+            assert str(bundled["seed"]) == min(falls, key=lambda seed: int(falls[seed]))
+    assert bundled["run_seed"] == 720 + bundled["seed"]
+
+
+def test_what_makes_a_robot_stand_where_it_should_walk_slowly_is_as_its_file_says():
+    with (DEPLOY / "slow.csv").open(newline="") as file:
+        robots = list(csv.DictReader(file))
+    for robot, row in zip(robots, tables_of("gait")[2][1:], strict=True):
+        speeds = [float(robot[name] or 0.5) for name in "ahead back left turning_left".split()]
+        assert shows(row[1], *speeds) and ("not at 0.5" in row[1]) == (not robot["turning_left"])
+        assert shows(row[2], float(robot["standing_joint_speed"]))
+        falls = [100 * float(robot["fall_rate"])] * ("falls" in row[3])
+        assert falls or not float(robot["fall_rate"])
+        assert shows(row[3], float(robot["return"]), *falls)
+        assert shows(row[4], float(robot["tracking_error"]))
+
+
+@functools.cache
+def followed(name):
+    """`slow.run` of a bundled policy."""
+    from dynappo.evaluate import slow
+    from dynappo.policy import policy_source
+
+    return slow.run(policy_source.player(policy_source.load(name)[0])[0])
+
+
+@pytest.mark.parametrize("page", [DEPLOY / "gait.md", ROOT / "robots/DEPLOY.md"])
+def test_slow_commands_that_bundled_policies_follow_are_as_the_pages_say(page):
+    """By `slow.run` of today: a row a policy, or a column."""
+    section = page.read_text().split("## Slow commands")[1].split("\n## ")[0]
+    head, _, *rows = [cells(line) for line in section.splitlines() if line[:1] == "|"]
+    if "ahead" in head:  # a row a policy; the table after it is of runs that are not here
+        rows = rows[: [row[0] for row in rows].index("`go1:laptop`")]
+        told = {row[0].strip("`"): ", ".join(row[1:]) for row in rows}
+    else:
+        told = {name: ", ".join(row[k] for row in rows) for k, name in enumerate(head) if k}
+    assert len(told) >= 5
+    for name, text in told.items():
+        assert shows(text, *followed(name).values()), (name, followed(name))
 
 
 def test_the_bundled_policies_for_hardware_are_the_best_rows_of_their_file():

@@ -31,6 +31,7 @@ def numbers(fallen=(), speeds=(0.5, 1.0)):
     every = dict.fromkeys(names, 2.0) | gait | {"episodes": len(rows), "falls": len(fallen)}
     standing = rows[0] | gait | {"command": [0.0, 0.0, 0.0]}
     some = dict(seconds=6.0, axes=grid, held={"vy": 0.0, "wz": 0.0}, all=every)
+    some |= dict(slow={"ahead": 0.3, "turning left": None})
     return some | dict(ahead=ahead, standing=standing, commands=rows)
 
 

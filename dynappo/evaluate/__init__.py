@@ -6,6 +6,7 @@
 - `task_facts`: what `export` needs to know of such an environment
 - `task_steps`: steps its robot for `play` and films, which start this as a process
 - `trials`: one trial for each command of a grid, in C MuJoCo: tracking, effort, gait
+- `slow`: from which speed on a robot that stands follows a command
 - `spread`: trials, changes and disturbances on all cores
 - `foot_motion`: how the feet move: clearance, slip, symmetry
 - `changes`: falls when the command changes, and on the tours of the film and of the live page

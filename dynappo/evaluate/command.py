@@ -3,7 +3,7 @@
 It runs three kinds of episodes, all with the policy's mean action:
 
 - `trials.run`, a grid of commands in C MuJoCo: where it tracks well, what walking costs, how the
-  feet move;
+  feet move; and from which speed on it follows a command from standing (`slow.py`);
 - `changes`, in C MuJoCo too: whether it falls when its command changes, and on the tours of the film and
   the live page;
 - `episodes`, the task it was trained on (`scores.py`): return, falls and tracking error,

@@ -69,9 +69,7 @@ def write(
         else "",
         SWEEP=_table(tables.trials_text(numbers), tables.trials_rows(numbers)),
         CHANGES="".join(f"<li>{html.escape(line)}</li>" for line in tables.changes_lines(changed)),
-        NOTES="".join(
-            f"<li>{html.escape(line)}</li>" for line in tables.notes(numbers["commands"])
-        ),
+        NOTES="".join(f"<li>{html.escape(line)}</li>" for line in tables.notes(numbers)),
         MAPS="".join(_map(*one) for one in figures.maps(numbers)),
         GAIT=_picture(out / "gait.png"),
         PAGE=_json(episode_page.content(first, player.policy.robot, "", [])) if first else '""',

@@ -6,7 +6,7 @@ import contextlib
 import time
 from typing import Any
 
-from dynappo.evaluate import figures
+from dynappo.evaluate import figures, slow
 from dynappo.evaluate.stress import SECONDS
 from dynappo.policy import walks
 from dynappo.program import devices
@@ -111,7 +111,7 @@ def trials(screen, numbers: dict[str, Any]) -> None:
     headings, *rows = trials_rows(numbers)
     screen.print(trials_text(numbers), soft_wrap=True)
     _table(screen, rows, headings)
-    for line in notes(numbers["commands"]):
+    for line in notes(numbers):
         screen.print(line, soft_wrap=True)
 
 
@@ -137,9 +137,9 @@ def trials_rows(numbers: dict[str, Any]) -> list[list[str]]:
     return rows
 
 
-def notes(rows: list[dict[str, Any]]) -> list[str]:
-    """Lines on the commands tracked worst and turned worst, and on those that made the robot fall."""
-
+def notes(numbers: dict[str, Any]) -> list[str]:
+    """Lines on the commands tracked worst and turned worst, those that made the robot fall, and slow ones."""
+    rows = numbers["commands"]
     stood = [row for row in rows if not figures.unmeasured(row)]
     fell = [row for row in rows if row["fall"] is not None]
     lines = [f"fell after {row['fall']:.1f} s, {command_text(row)}" for row in fell[:5]]
@@ -152,7 +152,7 @@ def notes(rows: list[dict[str, Any]]) -> list[str]:
         ):
             worst = max(stood, key=lambda row, name=name: row[name])
             lines.append(f"{label}: {worst[name]:.2f} {unit}, {command_text(worst)}")
-    return lines
+    return [*lines, slow.line(numbers["slow"])] if numbers["slow"] else lines
 
 
 def command_text(row: dict[str, Any]) -> str:

@@ -25,7 +25,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from dynappo.evaluate import foot_motion
+from dynappo.evaluate import foot_motion, slow
 from dynappo.evaluate.spread import spread
 from dynappo.policy import episode as episode_lib
 from dynappo.policy import policy_file, policy_source
@@ -180,7 +180,7 @@ def run(
 
     The grid is vx by vy without turning, and vx by yaw rate without going sideways (`held`); `all`
     is over these, its gait without the command to stand; `standing` is the row of that command, or None
-    where it is not in the grid. `tell(done, total)` is called
+    where it is not in the grid; `slow` is `slow.run`. `tell(done, total)` is called
     at first and after every episode. `player` is the robot; None: the policy's own.
     """
     player = player or policy_source.player(policy)[0]
@@ -209,6 +209,7 @@ def run(
             _row(player, found[command]) | gait(player, [found[command]]) for command in ahead
         ],
         "commands": [_row(player, r) for r in some],
+        "slow": slow.run(player),
     }
     return numbers, found
 

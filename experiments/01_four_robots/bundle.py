@@ -48,22 +48,24 @@ def main():
             if row["fall"] is not None or np.greater(off, worst).any():
                 raise SystemExit(f"{source} falls, or is off by {off}, at {row['command']}")
         run, seed = source.removesuffix(".npz").rsplit(".", 1)
+        known = of_run(Path(run), int(seed))
         params = {part: policy.params[part] for part in ("actor", "std")}
         config = config_dict.ConfigDict(policy.config)
         out = Path("robots") / robot / file
         far = {name: getattr(policy, name) for name in policy_file.TRAINED}
         policy_file.save(out.with_suffix(".npz"), params, config, robot_lib.load(robot), **far)
-        known = of_run(Path(run), int(seed))
         files.write_json(out.with_suffix(".json"), {"seed": int(seed), "robot": robot} | known)
         print(name, out.with_suffix(".npz").stat().st_size // 1000, "kB")
 
 
 def of_run(run: Path, seed: int) -> dict:
     """What RUN.json or RUN.csv tells of one of its seeds."""
-    if run.with_suffix(".json").exists():
-        summary = json.loads(run.with_suffix(".json").read_text())
-        return of_seed({k: summary[k] for k in KEEP.split() if k in summary}, seed)
-    with run.with_suffix(".csv").open() as file:
+    # a name may have a dot in it, as best0.2-h
+    summary, table = (run.with_name(run.name + end) for end in (".json", ".csv"))
+    if summary.exists():
+        found = json.loads(summary.read_text())
+        return of_seed({k: found[k] for k in KEEP.split() if k in found}, seed)
+    with table.open() as file:
         rows = list(csv.DictReader(file))
     last = [row for row in rows if row["iteration"] == rows[-1]["iteration"]][seed]
     numbers = {name: float(last[name]) for name in EVALUATED if last.get(name)}

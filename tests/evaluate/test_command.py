@@ -16,7 +16,7 @@ from toy_policy import actor, described
 
 from dynappo import config as config_lib
 from dynappo.description import robot as robot_lib
-from dynappo.evaluate import changes, episodes, recording, stairs, stress, trials
+from dynappo.evaluate import changes, episodes, recording, slow, stairs, stress, trials
 from dynappo.evaluate import command as evaluate_command
 from dynappo.evaluate import tables as evaluate_tables
 from dynappo.policy import episode, policy_file, policy_source
@@ -148,19 +148,22 @@ def test_where_an_evaluation_goes(tmp_path):
 
 def test_falls_are_named():
     """The first five, and how many more; the worst is one that stood."""
-    rows = toy_sweep.numbers()["commands"]
+    numbers = toy_sweep.numbers()
+    rows = numbers["commands"]
     turned = max(rows, key=lambda row: row["yaw_error"])
     x, y, turn = turned["command"]
-    assert evaluate_tables.notes(rows) == [
+    assert evaluate_tables.notes(numbers) == [
         "worst tracked: 0.43 m/s, asked for 1, 0 m/s, 1 rad/s",
         f"worst turned: {turned['yaw_error']:.2f} rad/s, asked for {x:g}, {y:g} m/s, {turn:g} rad/s",
+        slow.line({"ahead": 0.3, "turning left": None}),
     ]
     fell = {tuple(row["command"]) for row in rows[-7:]}
-    lines = evaluate_tables.notes(toy_sweep.numbers(fell)["commands"])
+    lines = evaluate_tables.notes(toy_sweep.numbers(fell))
     assert sum(line.startswith("fell after 1.5 s, asked for") for line in lines) == 5
     assert "fell on 2 other commands" in lines[5] and lines[6].startswith("worst tracked:")
-    everything = toy_sweep.numbers({tuple(row["command"]) for row in rows})["commands"]
+    everything = toy_sweep.numbers({tuple(row["command"]) for row in rows})
     assert not any("worst" in line for line in evaluate_tables.notes(everything))
+    assert evaluate_tables.notes(numbers | {"slow": {}}) == evaluate_tables.notes(numbers)[:-1]
 
 
 @pytest.mark.slow  # test_house.py sees every import

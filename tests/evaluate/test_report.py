@@ -55,7 +55,7 @@ def test_the_tables_are_those_that_are_printed(evaluated, text):
     rows = tables.trials_rows(numbers) + tables.episodes_rows(EPISODES)
     for row in [*rows, [tables.trials_text(numbers)], [tables.episodes_text(EPISODES)]]:
         assert " ".join("".join(row).split()) in seen.replace("\n", ""), row
-    for line in tables.notes(numbers["commands"]) + tables.changes_lines(toy_sweep.changes()):
+    for line in tables.notes(numbers) + tables.changes_lines(toy_sweep.changes()):
         assert line in seen
     assert (
         "a </script> policy" in seen
