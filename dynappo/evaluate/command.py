@@ -45,6 +45,7 @@ UNITS = {
     "before": "m/s, m/s, rad/s",
     "tracking_error": "m/s",
     "yaw_error": "rad/s",
+    "slow": "m/s; turning left: rad/s",
     "speed": "m/s",
     "power": "W",
     "positive_power": "W",
