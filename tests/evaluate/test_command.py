@@ -92,7 +92,7 @@ def test_the_command_writes_what_it_prints(saved, tmp_path, monkeypatch, capsys,
     ):
         assert part in text, part
     assert "noise, pushes, randomised physics; C MuJoCo on cpu" in text
-    known = set(of_task) | set(sweep["commands"][0]) | set(sweep["all"]) | set(changed)
+    known = set(of_task) | set(sweep) | set(sweep["commands"][0]) | set(sweep["all"]) | set(changed)
     assert set(written["units"]) - known == {"before", "after", "fell_at"}  # of a fall, of a tour
 
 
