@@ -16,6 +16,7 @@ from dynappo.evaluate.spread import spread
 from dynappo.policy import episode as episode_lib
 from dynappo.policy import policy_file
 from dynappo.policy.episode import Player
+from dynappo.policy.policy_file import Policy
 from dynappo.policy.walks import SETTLE
 
 # axis of the command and sign
@@ -29,22 +30,28 @@ def run(player: Player) -> dict[str, float | None]:
     """For each of `DIRECTIONS`, the slowest of `SPEEDS` (m/s, rad/s) from which on the robot follows all.
 
     It follows one if it does not fall and its mean speed along the command is at least `FOLLOWED` of it.
-    None: it does not follow the fastest. Directions in which training asked for no such speed are left out.
+    None: it does not follow the fastest. Speeds that training did not ask for are left out, and so is a
+    direction that has no other.
     """
     policy = player.policy
     act = policy_file.actor(policy.params, policy.activation)
-    ranges = np.array([policy.command_x, policy.command_y, policy.command_yaw])
-    most = {name: (sign * ranges[axis]).max() for name, (axis, sign) in DIRECTIONS.items()}
-    asked = [name for name in DIRECTIONS if most[name] >= SPEEDS[-1]]
-    found = spread(lambda name: slowest(player, act, name, most[name]), asked)
+    asked = {name: speeds for name in DIRECTIONS if (speeds := within(policy, name))}
+    found = spread(lambda name: slowest(player, act, name, asked[name]), [*asked])
     return dict(zip(asked, found, strict=True))
 
 
-def slowest(player: Player, act: Callable, direction: str, most: float) -> float | None:
-    """The slowest speed that is followed in one of `DIRECTIONS`, of those up to `most`."""
+def within(policy: Policy, direction: str) -> list[float]:
+    """Those of `SPEEDS` that training asked for in a direction."""
+    axis, sign = DIRECTIONS[direction]
+    low, high = (policy.command_x, policy.command_y, policy.command_yaw)[axis]
+    return [speed for speed in SPEEDS if low <= sign * speed <= high]
+
+
+def slowest(player: Player, act: Callable, direction: str, speeds: list[float]) -> float | None:
+    """The slowest of `speeds`, the fastest first, from which on all are followed in a direction."""
     axis, sign = DIRECTIONS[direction]
     last = None
-    for speed in (speed for speed in SPEEDS if speed <= most):
+    for speed in speeds:
         command = np.zeros(3)
         command[axis] = sign * speed
         if sign * went(player, act, command)[axis] < FOLLOWED * speed:
@@ -74,5 +81,5 @@ def line(numbers: dict[str, Any]) -> str:
     told = []
     for name, speed in numbers.items():
         unit = "rad/s" if DIRECTIONS[name][0] == 2 else "m/s"
-        told.append(f"{name} not at {SPEEDS[0]:g}" if speed is None else f"{name} {speed:g} {unit}")
+        told.append(f"{name} none" if speed is None else f"{name} {speed:g} {unit}")
     return f"slowest commands that it follows from standing, of {SPEEDS[-1]:g} and up: {', '.join(told)}"

@@ -51,7 +51,12 @@ def test_what_training_did_not_ask_for_is_left_out(monkeypatch, player):
         )
     )
     assert list(slow.run(some)) == ["ahead"]
-    assert max(np.abs(told).max(0)) == 0.3
+    assert (
+        sorted(told_x := [command[0] for command in told]) == [0.1, 0.2, 0.3] and told_x[0] == 0.3
+    )
+    fast = some._replace(policy=some.policy._replace(command_x=(0.3, 1.0)))
+    told.clear()
+    assert slow.run(fast) == {"ahead": 0.3} and [command[0] for command in told] == [0.5, 0.4, 0.3]
 
 
 def test_a_bundled_policy_goes_as_a_loop_over_its_episode_says(player):
@@ -88,4 +93,4 @@ def test_a_robot_that_falls_or_blows_up_follows_nothing(monkeypatch, player):
 
 def test_the_line_has_units_and_says_where_nothing_is_followed():
     line = slow.line({"ahead": 0.3, "back": None, "turning left": 0.2})
-    assert line.endswith("of 0.1 and up: ahead 0.3 m/s, back not at 0.5, turning left 0.2 rad/s")
+    assert line.endswith("of 0.1 and up: ahead 0.3 m/s, back none, turning left 0.2 rad/s")
