@@ -12,6 +12,7 @@ import re
 from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING
+from xml.etree import ElementTree
 from xml.parsers import expat
 
 import mujoco
@@ -26,7 +27,8 @@ MOST = 40  # errors of MuJoCo's that are mended
 NAMED = 6  # elements that are named of those with the same error
 MESH = mujoco.mjtGeom.mjGEOM_MESH
 READ = ValueError, mujoco.FatalError  # what MuJoCo raises where it reads and compiles
-WHERE = re.compile(r",? Element(?: name)? '([^']*)'(?:, id \d+)?, line (\d+)$")
+# an element, and its line; of an included file, its name as well (`_named_places`)
+WHERE = re.compile(r",? Element(?: name)? '([^']*)'(?:, id \d+)?, (line \d+(?: of .+)?)$")
 NUMBERS = re.compile(
     r" for actuator id = \d+| in (?:geom|bodypair) \d+"
 )  # of which a line says more
@@ -49,30 +51,41 @@ def of_file(xml: Path, text: str, first: Exception) -> str:
 
 def read(xml: Path, text: str = "") -> tuple[Fresh | None, list[str]]:
     """`(fresh, errors)`: `fresh()` reads a file without the attributes and elements that MuJoCo's parser
-    refuses.
+    refuses, in the file or in those that it includes.
 
-    None if more than that is wrong, and where a line may be one of another file.
+    None if more than that is wrong.
     """
-    content, said = text or xml.read_bytes().decode(), []
+    content, said, whole = text or xml.read_bytes().decode(), [], ""
+    places: list[str] = []  # of each line of `content`, if it has those of other files
 
     def fresh():
-        if not text and not said:
+        if not text and not said and not places:
             return mujoco.MjSpec.from_file(str(xml))
         spec = mujoco.MjSpec.from_string(content)
         if not text:
             spec.modelfiledir = str(xml.parent)
+        _named_places(spec, places)
         return spec
 
     while len(said) < MOST:
         try:
             fresh()
+            if places and not said:  # no fault of one file
+                break
             return fresh, _grouped(said)
         except READ as error:
-            said.append(plain(error))
-            content, before = _without(content, said[-1]), content
-            if content == before or "<include" in content:
+            if (
+                "<include" in content and not text and not places
+            ):  # MuJoCo tells no file, and no line
+                content, places = _with_included(xml, first=error)
+                whole = plain(error)
+                continue
+            found = plain(error)
+            said.append(_placed(found, places))
+            content, before = _without(content, found), content
+            if content == before:
                 break
-    return None, _grouped(said)
+    return None, _grouped(said or [whole])
 
 
 def of_spec(fresh: Fresh, pose: bool = True) -> list[str]:
@@ -117,10 +130,12 @@ def _grouped(said: list[str]) -> list[str]:
     places: dict[str, list[str]] = {}
     for text in said:
         place = WHERE.search(text)
-        here = f"{place[1]} (line {place[2]})".strip() if place else ""
+        # MuJoCo knows no line of an included file
+        line = f" ({place[2]})" if place and place[2] != "line 0" else ""
+        here = f"{place[1]}{line}".strip() if place else ""
         places.setdefault(NUMBERS.sub("", WHERE.sub("", text)), []).append(here)
     return [
-        text + (f": {mjcf.listed(found, NAMED)}" if found[0] else "") + CURE * (MASSES in text)
+        text + (f": {mjcf.listed(found, NAMED)}" if any(found) else "") + CURE * (MASSES in text)
         for text, found in places.items()
     ]
 
@@ -138,7 +153,7 @@ def _without(content: str, error: str) -> str:
         return content
     data = content.encode()
     found = [
-        span for tag, line, span in _elements(data) if (tag, line) == (place[1], int(place[2]))
+        span for tag, line, span in _elements(data) if (tag, f"line {line}") == (place[1], place[2])
     ]
     if not found:
         return content
@@ -176,6 +191,64 @@ def _elements(data: bytes) -> list[tuple[str, int, tuple[int, int, int]]]:
     with contextlib.suppress(expat.ExpatError):
         parser.Parse(data, True)
     return found
+
+
+# files in a file
+
+
+def _with_included(
+    xml: Path, first: Exception, folder: Path | None = None
+) -> tuple[str, list[str]]:
+    """`(text, places)`: a file with what it includes in its place, and where each line of that is from.
+
+    Paths are relative to the `folder` of the first file, as MuJoCo reads them. `first`, which MuJoCo said, is
+    raised where one of the files cannot be read, or includes itself.
+    """
+    main, folder = folder is None, folder or xml.parent
+    try:
+        data = xml.read_bytes().replace(b"\r\n", b"\n")
+        text, roots = data.decode(), _elements(data)
+        ElementTree.fromstring(text)  # else `_elements` has a part of them alone
+        includes = sorted(
+            (start, end, ElementTree.fromstring(data[start:end]).attrib["file"])
+            for tag, _, (start, _, end) in roots
+            if tag == "include"
+        )
+        root, _, (_, inside, end) = roots[-1]
+        close = max(inside, data.rfind(b"</" + root.encode(), 0, end))
+        begin, close = (0, len(data)) if main else (inside, close)
+        pieces, places = [], []
+        for start, end, name in [*includes, (close, close, "")]:
+            pieces.append(data[begin:start].decode())
+            line = data[:begin].count(b"\n") + 1
+            lines = range(line, line + pieces[-1].count("\n") + 1)
+            places += [f"line {k}" + f" of {xml.name}" * (not main) for k in lines]
+            if name:
+                inner, where = _with_included(folder / name, first, folder)
+                pieces.append(inner)
+                places += where
+            begin = end
+        return "\n".join(pieces), places
+    except (OSError, ValueError, KeyError, RecursionError, ElementTree.ParseError):
+        raise ValueError(plain(first)) from None
+
+
+def _placed(error: str, places: list[str]) -> str:
+    """An error with its line, as `places` has it, in place of the line of the whole text."""
+    place = WHERE.search(error)
+    if not place or not places:
+        return error
+    return error[: place.start(2)] + places[int(place[2].split()[1]) - 1]
+
+
+def _named_places(spec: mujoco.MjSpec, places: list[str]) -> None:
+    """Give what MuJoCo's compiler may speak of its place, of which it knows the line of the whole text."""
+    kinds = spec.bodies, spec.geoms, spec.joints, spec.actuators, spec.sensors, spec.equalities
+    for thing in [
+        one for kind in (*kinds, spec.tendons, spec.pairs, spec.excludes) for one in kind
+    ]:
+        line = re.fullmatch(r"line (\d+)", thing.info) if places else None
+        thing.info = places[int(line[1]) - 1] if line else thing.info
 
 
 # what keeps a robot from being completed
@@ -225,7 +298,7 @@ def _mend_options(spec: mujoco.MjSpec) -> None:
 def _mend(spec: mujoco.MjSpec, error: str) -> bool:
     """Mend what an error of MuJoCo's compiler is about; whether a limb may then be elsewhere."""
     place = WHERE.search(error)
-    here = f"line {place[2]}" if place else ""
+    here = place[2] if place else ""
     bodies = [body for body in spec.bodies[1:] if body.info == here]
     _mend_masses(bodies)
     geoms = [geom for geom in spec.geoms if geom.info == here]

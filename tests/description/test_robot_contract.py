@@ -474,12 +474,37 @@ def test_where_a_limb_may_be_elsewhere_nothing_is_said_of_the_pose(case, tmp_pat
 
 
 def test_where_nothing_more_can_be_read_mujocos_error_is_all(tmp_path):
-    """XML that ends in the middle, and a line that may be another file's."""
+    """XML that ends in the middle, here or in a file that is included."""
     change = edit(("</worldbody>", "</worldbdy>"), ('gravity="0 0 -9.81"', 'gravity="0 0 9.81"'))
     assert message(tmp_path, change).startswith("XML parse error 14")
-    (tmp_path / "more.xml").write_text('<mujoco><option colour="red"/></mujoco>')
-    change = edit(("<compiler", '<include file="more.xml"/><compiler'))
-    assert "unrecognized attribute: 'colour'" in message(tmp_path, change)
+    include = edit(("<compiler", '<include file="more.xml"/><compiler'))
+    (tmp_path / "more.xml").write_text('<mujoco><option colour="red"/></mujco>')
+    assert "XML parse error 14" in message(tmp_path, include)
+    twice = edit(("<compiler", '<include file="more.xml"/>' * 2 + "<compiler"))
+    (tmp_path / "more.xml").write_text("<mujoco><option/></mujoco>")
+    assert "already included" in message(tmp_path, twice)
+    itself = '<mujoco><include file="more.xml"/></mujoco>'
+    (tmp_path / "more.xml").write_text(itself)
+    assert "already included" in message(tmp_path, include)
+
+
+def test_faults_of_included_files_are_told_with_their_file_and_line(tmp_path):
+    """Those of a scene and of two files that it includes, one by the other; MuJoCo tells one, and no line."""
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "robot.xml").write_text(
+        GO1.replace(MOTOR, MOTOR.replace("<motor", '<motor colour="red"'), 1).replace(
+            "<compiler", '<include file="parts/more.xml"/> <compiler', 1
+        )
+    )
+    (tmp_path / "parts/more.xml").write_text('<mujoco>\n<option\ncolour="red"/>\n</mujoco>')
+    include = '<!-- <include file="no.xml"/> -->\n<include file="robot.xml"/>'
+    scene = f'<mujoco>\n{include}\n<size colour="1"/>\n</mujoco>'
+    (tmp_path / "scene.xml").write_text(scene)
+    motor = 1 + GO1[: GO1.index(MOTOR)].count("\n")
+    found = f"option (line 2 of more.xml), motor (line {motor} of robot.xml), size (line 4)"
+    for load in (robot.load_xml, source.read):
+        said = refused(load, tmp_path / "scene.xml")
+        assert said.endswith(f"unrecognized attribute: 'colour': {found}")
 
 
 def test_every_rule_for_a_compiled_robot_is_broken_at_once():
