@@ -281,6 +281,7 @@ class HyperTask(NamedTuple):
     randomize: HyperRandomize
     reset: HyperReset
     saturation_effort: float | tuple[float, ...]
+    slow_commands: float | None
     standing: float
     start_anew: float
     tracking_std: float

@@ -25,6 +25,9 @@ def of(config) -> tuple[float, float] | None:
         speed, turn = uniform(task.command_x, task.command_y), uniform(task.command_yaw)
     else:
         speed, turn = (_root_mean_square(drawn[:, part]) for part in ([0, 1], [2]))
+    # of a slow one the share is uniform from 0 to 0.5 (tasks/velocity/commands.py): a mean square of 1/12
+    whole = (1 - (task.slow_commands or 0.0) * (1 - 1 / 12)) ** 0.5
+    speed, turn = whole * speed, whole * turn
     if task.heading:  # as of a robot that turns to none (tasks/velocity/commands.py)
         angles = np.linspace(-np.pi, np.pi, DRAWS)[:, None]
         turn = _root_mean_square(np.clip(task.heading_gain * angles, *task.command_yaw))

@@ -282,6 +282,16 @@ def test_what_is_turned_and_walked_is_judged_by_the_commands_that_were_given():
         assert asked.uniform((low, high)) == pytest.approx(np.sqrt(np.mean(drawn**2)), rel=1e-4)
 
 
+def test_slow_commands_ask_for_less():
+    """Of 40 %, a uniform share from 0 to 0.5 of the command."""
+    drawn = np.random.default_rng(0).uniform(-1, 1, (100_000, 3))
+    share = np.random.default_rng(1).uniform(0, 0.5, 100_000)
+    drawn[:40_000] *= share[:40_000, None]
+    speed, turn = asked.of(valid("go1", slow_commands=0.4)) or (NAN, NAN)
+    assert speed == pytest.approx(np.sqrt(np.mean((drawn[:, :2] ** 2).sum(1))), rel=0.01)
+    assert turn == pytest.approx(np.sqrt(np.mean(drawn[:, 2] ** 2)), rel=0.01)
+
+
 def test_a_heading_asks_for_turns_inside_the_range():
     """Of a robot that turns to none: half of the angle, at most 1 rad/s."""
     angles = np.random.default_rng(0).uniform(-np.pi, np.pi, 100_000)

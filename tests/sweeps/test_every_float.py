@@ -51,6 +51,7 @@ FIELDS = {  # 4 robots that fall, step, stand and bend their joints far, all wit
     "model.weight_decay": 0.01,
     "model.bound": 0.5,
     "task.clearance_ramp": 0.1,
+    "task.slow_commands": 0.3,
     "task.max_tilt": 0.3,
     "task.fall_reward": -2.0,
     "task.posture_std": 0.2,

@@ -17,8 +17,9 @@ from dynappo.tasks.velocity.state import Goal
 PAPER = SimpleNamespace(heading=False, resample_steps=0)
 ISAAC = SimpleNamespace(heading=True, resample_steps=500)
 RANGES = dict(command_x=(-1.0, 0.5), command_y=(-0.25, 0.75), command_yaw=(-0.8, 1.0))
+WHOLE = dict(heading_gain=0.5, slow_commands=None)
 HYPER, HALF = (
-    SimpleNamespace(task=SimpleNamespace(**RANGES, heading_gain=0.5, standing=standing))
+    SimpleNamespace(task=SimpleNamespace(**RANGES, **WHOLE, standing=standing))
     for standing in (0.0, 0.5)
 )
 LEVEL = jnp.array([0.0, 0.0, 0.3, 1.0, 0.0, 0.0, 0.0])
@@ -107,6 +108,23 @@ def test_standing_robots_get_zeros_until_the_next_draw_and_as_often_as_asked():
     ]
     assert {float(x) for x in fresh} == {0.0, 1.0}
     assert not draws(ISAAC, HYPER)[1].standing.any()
+
+
+def test_as_many_commands_as_asked_are_slow_all_of_one_alike():
+    """A uniform share from 0 to 0.5 of a command that is uniform in its ranges, whatever that is; with none
+    slow the numbers are drawn by another key, with the same distribution."""
+    hyper = SimpleNamespace(task=SimpleNamespace(**vars(HYPER.task) | {"slow_commands": 0.3}))
+    every = SimpleNamespace(task=SimpleNamespace(**vars(HYPER.task) | {"slow_commands": 1.0}))
+    none = SimpleNamespace(task=SimpleNamespace(**vars(HYPER.task) | {"slow_commands": 0.0}))
+    whole, mixed, slow = (draws(PAPER, one)[0] for one in (none, hyper, every))
+    share = slow / whole  # the same keys: the same commands
+    np.testing.assert_allclose(share, share[:, :1] * np.ones(3), rtol=1e-4)
+    deciles = np.quantile(share[:, 0], np.linspace(0.1, 0.9, 9))
+    np.testing.assert_allclose(deciles, np.linspace(0.05, 0.45, 9), atol=0.02)
+    assert abs(np.corrcoef(share[:, 0], whole[:, 0])[0, 1]) < 0.06
+    is_slow = (mixed != whole).all(1)
+    assert abs(is_slow.mean() - 0.3) < 0.03
+    np.testing.assert_array_equal(mixed, np.where(is_slow[:, None], slow, whole))
 
 
 def test_headings_are_drawn_all_around():

@@ -9,6 +9,11 @@ The paper draws a command uniformly and keeps it for the episode. Isaac Lab's ta
 - `task.resample_steps`: the command is drawn again after this number of control steps (0: never);
 - `task.standing`: the probability, at each draw, of the command to stand still.
 
+`task.slow_commands` is the probability, at each draw, of a slow command: all of it times a share that is
+uniform from 0 to `SLOWEST`. A robot for hardware that hears few of them stands where it is asked to walk
+slowly, for a step costs reward, and a slow command that is not followed costs little of it
+(experiments/22_deploy/gait.md).
+
 A command of one's own (config/terms.py) is drawn in the place of the uniform one; all else holds for it, too.
 
 A tail keeps the command of its first row; on a ground that is not flat it knows the robot's heading, and so
@@ -30,6 +35,7 @@ from dynappo.types import Hyper
 Sampler = (
     tuple[int, Callable] | None
 )  # how many numbers one of one's own draws, and of these a command
+SLOWEST = 0.5  # the largest share of a command that is slow
 
 
 def draw(
@@ -39,17 +45,23 @@ def draw(
     ranges = hyper.task.command_x, hyper.task.command_y, hyper.task.command_yaw
     if own is not None:
         key, own_key = jax.random.split(key)
+    if hyper.task.slow_commands is not None:
+        key, slow_key = jax.random.split(key)
     *velocity, heading, standing = jax.random.uniform(key, (5,))
     command = [low + (high - low) * u for u, (low, high) in zip(velocity, ranges, strict=True)]
     if own is not None:
         count, sample = own
         command = [*sample(jax.random.uniform(own_key, (count,)))]
+    command = jnp.stack(command)
+    if hyper.task.slow_commands is not None:
+        coin, share = jax.random.uniform(slow_key, (2,))
+        command *= jnp.where(coin < hyper.task.slow_commands, SLOWEST * share, 1.0)
     goal = Goal(
         heading=(2 * heading - 1) * jnp.pi,
         standing=(standing < hyper.task.standing).astype(jnp.float32),
         steps_left=jnp.int32(task.resample_steps),
     )
-    return follow(task, hyper, jnp.stack(command), goal, qpos), goal
+    return follow(task, hyper, command, goal, qpos), goal
 
 
 def follow(task, hyper: Hyper, command, goal: Goal, qpos):
