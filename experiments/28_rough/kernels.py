@@ -1,6 +1,6 @@
 """The kernels of an iteration of physics alone, and of a tail alone, by the time that they take on a GPU.
 
-    python experiments/28_rough/kernels.py OUT.csv go2:rough go2 [--robots 2048] [--most 25] [--set FIELD=VALUE ...]
+    python experiments/28_rough/kernels.py OUT.csv go2:rough go2 [--robots 2048] [--set FIELD=VALUE ...]
 
 Each config runs `ITERATIONS` iterations of the program that trains, under JAX's profiler: once with all rows
 real and no fit (`physics`), once with none real (`tail`). A line of OUT.csv is a kernel: config, what ran,
@@ -13,9 +13,9 @@ from collections import Counter
 from pathlib import Path
 
 import jax
-import numpy as np
 from jax.profiler import ProfileData
 
+from dynappo import config as config_lib
 from dynappo.bench import phases
 from dynappo.config import loading
 from dynappo.program import build, devices
@@ -30,7 +30,9 @@ def main():
     parser.add_argument("configs", nargs="+", metavar="ROBOT:VARIANT")
     parser.add_argument("--robots", type=int, default=2048)
     parser.add_argument("--most", type=int, default=25, help="kernels to print of each")
-    parser.add_argument("--set", nargs="+", default=[], metavar="FIELD=VALUE", help="of all configs")
+    parser.add_argument(
+        "--set", nargs="+", default=[], metavar="FIELD=VALUE", help="of all configs"
+    )
     args = parser.parse_args()
     devices.own_process()
     rows = []
@@ -39,7 +41,7 @@ def main():
         sizes = [f"rollout.num_envs={args.robots}", f"run.log_every={ITERATIONS}"]
         for field in [*sizes, *args.set]:
             loading.override(config, *field.split("=", 1))
-        rows += of_config(name, config)
+        rows += of_config(name, config_lib.validate(config))
     with args.out.open("w", newline="") as file:
         writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
         writer.writeheader()
@@ -80,7 +82,7 @@ def of_config(name: str, config) -> list[dict]:
 
 
 def kernels(path: Path) -> tuple[Counter, Counter]:
-    """`(ns, launches)` of each kernel of a device in a profile; on a CPU, of each operation of XLA's threads."""
+    """`(ns, launches)` of each kernel of a GPU in a profile; on a CPU, of each operation of XLA's threads."""
     took, launches = Counter(), Counter()
     planes = [*ProfileData.from_file(str(path)).planes]
     device = [plane for plane in planes if plane.name.startswith("/device:GPU")]
