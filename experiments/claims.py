@@ -35,6 +35,7 @@ ALONE = (
     "24fde7d",
 )  # batches of SECONDS; rows of the first do not have its commit
 NEWER = "H200, 2026-11-28", "a00ece3"
+SECOND = "H200, 2026-11-28, second host", "7ab526d7"
 CORES = "two CPU cores", "2026-11-26"
 ROBOTS = {"go1": "g", "go2": "h", "anymal_c": "c", "anymal_d": "d"}
 STARTS = "an H200 and slower hosts", "2026-11-24", "", "experiments/03_speed/kernel.md"
@@ -223,6 +224,42 @@ STATED = {  # name -> where, and the words
         ("experiments/25_humanoid/seconds.md", "To a walk it is {:.2f} ±"),
         (ROW_COST, "it is 3.75 and {:.2f} s, and no difference"),
     ],
+    "g1 seconds to its level, with settings for seconds": [
+        ("README.md", "settings for seconds `best` takes {:.2f} on another H200"),
+        ("docs/results.md", "`best` is within the errors after {:.2f} s (ten fresh seeds, another"),
+        ("docs/speed.md", "22 to 24 ms, within the errors after {:.2f} s, and eight"),
+        ("experiments/README.md", "With settings for seconds `best` takes {:.2f} s there"),
+        (
+            "experiments/25_humanoid/README.md",
+            "`best` is within the errors after {:.2f} s (ten seeds,",
+        ),
+        ("experiments/25_humanoid/seconds.md", "3 epochs is within the errors after {:.2f} ±"),
+        (ROW_COST, "3 epochs takes {:.2f} s (ten fresh seeds)"),
+    ],
+    "g1 seconds to its level, MuJoCo Warp": [
+        ("README.md", "`best` takes {:.1f} instead of 15.2 s (five and"),
+        ("docs/results.md", "on a G1 at 4.4 ms, after {:.1f} instead of"),
+        ("docs/results.md", "it is {:.1f} instead of 15.2 s (five seeds, three"),
+        ("experiments/README.md", "At 4.4 ms `best` takes {:.1f} instead of"),
+        ("experiments/25_humanoid/README.md", "it is {:.1f} instead of 15.2 s (five"),
+        ("experiments/25_humanoid/README.md", "within the errors after {:.2f} s and PPO"),
+        ("experiments/25_humanoid/seconds.md", "sooner: within the errors after {:.2f} ±"),
+        (ROW_COST, "a G1 takes {:.2f} s with `best`"),
+    ],
+    "g1 PPO seconds to its level, MuJoCo Warp": [
+        ("README.md", "`best` takes 6.2 instead of {:.1f} s (five and"),
+        ("docs/results.md", "6.2 instead of {:.1f} s (five seeds, three of PPO), and a Go1"),
+        ("docs/results.md", "6.2 instead of {:.1f} s (five seeds, three of PPO). With the"),
+        ("experiments/README.md", "6.2 instead of {:.1f} s ([30]"),
+        ("experiments/25_humanoid/README.md", "6.2 instead of {:.1f} s (five"),
+        ("experiments/25_humanoid/README.md", "s and PPO after {:.2f}. With"),
+        ("experiments/25_humanoid/seconds.md", "12 rows after {:.2f} ±"),
+        (ROW_COST, "and {:.2f} with PPO (three)"),
+    ],
+    "g1 fast PPO's steps to its level, by best's, MuJoCo Warp": [
+        ("experiments/25_humanoid/seconds.md", "for {:.1f} times the steps. These"),
+        (ROW_COST, "for {:.1f} times the steps. Computed"),
+    ],
     "go2 crosses": [
         ("README.md", "crosses {:.0%} of all tiles of stairs"),
     ],
@@ -322,16 +359,22 @@ def seconds():
         (NEWER, "go1.exact", "go1", ", exact task", {"38": "level"}),
         (NEWER, "anymal_c.exact", "anymal_c", ", exact task", {"24": "level"}),
         (NEWER, "g1.kernel", "g1", "", {"its level": "level"} | walks),
+        (SECOND, "g1.warp", "g1", ", MuJoCo Warp", {"its level": "level"}),
     ):
         best, ppos = table.settings([run for run in every if run.batch == batch], place)
         ppo = table.fastest(ppos)
         for level, of in goals.items():
             (_, few, mine), (_, steps, its) = (getattr(run, of).mean(0) for run in (best, ppo))
-            where = *batch.split(", "), commit, SECONDS
+            where = *batch.split(", ")[:2], commit, SECONDS
             yield f"{robot} seconds to {level}{engine}", f"{mine:.6g}", "s", *where
             yield f"{robot} PPO seconds to {level}{engine}", f"{its:.6g}", "s", *where
             name = f"{robot} fast PPO's steps to {level}, by best's{engine}"
             yield name, f"{steps / few:.6g}", "", *where
+    batch, commit = SECOND
+    by_name = {(run.batch, run.place, run.method): run for run in every}
+    mine = by_name[batch, "g1.kernel", "best-kl4e3"].level[:, 2].mean()
+    name = "g1 seconds to its level, with settings for seconds"
+    yield name, f"{mine:.6g}", "s", *batch.split(", ")[:2], commit, SECONDS
 
 
 def rough():

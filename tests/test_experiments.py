@@ -153,7 +153,7 @@ def test_the_pages_of_seconds_have_the_tables_of_their_runs(monkeypatch, capsys)
     ):
         page = (EXPERIMENTS / ROW_COST / f"{name}.md").read_text().splitlines()
         rows = [line for line in printed.splitlines() if line.startswith(places)]
-        assert len(rows) >= (58 if name == "runs" else 7)
+        assert len(rows) >= (61 if name == "runs" else 7)
         assert rows == [line for line in page if line.startswith(places)]
 
 
@@ -250,6 +250,136 @@ def test_what_the_pages_of_seconds_say_in_words_is_so():
         ("anymal_c.exact", "ppo1024"): 1,
     }
     assert "All five ANYmal-C walk with `best`, two of five Go1" in pages["README"]
+
+
+def test_what_the_pages_of_seconds_say_of_a_g1_on_a_second_host_is_so(humanoid):
+    """`best` for seconds beside PPO of the first host, MuJoCo Warp's own step, and who walks by the end."""
+    table, folder = script(f"{ROW_COST}/table"), EXPERIMENTS / ROW_COST
+    found = table.runs()
+    pages = {
+        name: " ".join((folder / f"{name}.md").read_text().split())
+        for name in ("README", "runs", "settings", "computed")
+    }
+    first, second = "H200, 2026-11-28", "H200, 2026-11-28, second host"
+    run = {(one.place, one.batch, one.method): one for one in found}
+    best, ppo = (run["g1.kernel", first, method] for method in ("best", "ppo1024x12"))
+    quick = run["g1.kernel", second, "best-kl4e3"]
+    dear = [run["g1.warp", second, method] for method in ("best", "ppo1024x12")]
+    assert [len(one.level) for one in (quick, *dear)] == [10, 5, 3]
+    seconds, steps = ([one.level[:, k] for one in (best, quick, ppo, *dear)] for k in (2, 1))
+    text = "takes {:.2f} s longer to the level ({:.2f} to {:.2f}), 1.01 times the seconds"
+    assert text.format(*stats.difference(seconds[2], seconds[1])) in pages["runs"]
+    text = "{:.2f} times as long ({:.2f} to {:.2f}), for {:.1f} times the steps: no difference"
+    more = stats.ratio(steps[2], steps[1])
+    assert text.format(*stats.ratio(seconds[2], seconds[1]), more.value) in pages["README"]
+    assert "and {:.1f} times the steps ({:.1f} to {:.1f})".format(*more) in pages["runs"]
+    text = "`best` takes {:.2f} s longer ({:.2f} to {:.2f}), for {:.2f} instead of {:.2f} M steps"
+    means = [steps[k].mean() / 1e6 for k in (0, 1)]
+    assert text.format(*stats.difference(seconds[0], seconds[1]), *means) in pages["runs"]
+    text = "PPO takes {:.1f} s longer to the level than `best` ({:.1f} to {:.1f}), for"
+    text += " {:.1f} times the steps ({:.1f} to {:.1f})"
+    gain, more = stats.difference(seconds[4], seconds[3]), stats.ratio(steps[4], steps[3])
+    assert text.format(*gain, *more) in pages["runs"]
+    longer = stats.ratio(seconds[4], seconds[3])
+    assert "{:.1f} times as long ({:.1f} to {:.1f})".format(*longer) in pages["README"]
+    # computed from the runs with our kernel, and measured
+    cost, power = table.cost(found, dear[0]), table.power_of("g1.warp")
+    later = [table.later(one, table.cost(found, one), cost, power) for one in (best, ppo)]
+    for label, computed, measured in (
+        ("`best`", later[0], seconds[3]),
+        ("PPO, 1024 robots, 12 rows", later[1], seconds[4]),
+    ):
+        line = f"| {label} | {table.interval(computed)} | {table.interval(measured)} |"
+        assert line in pages["computed"]
+    assert "it is {:.1f} and {:.1f}.".format(*(one.mean() for one in later)) in pages["README"]
+    text = "`best` took {:.2f} s longer than computed ({:.2f} to {:.2f}), PPO {:.2f} ({:.2f} to {:.2f})"
+    slower = [x for pair in zip(seconds[3:], later, strict=True) for x in stats.difference(*pair)]
+    assert text.format(*slower) in pages["computed"]
+    some = (best, ppo, quick, *dear)
+    rows = [(one.level[:, 1] / one.robots).mean() for one in some]
+    rest = [
+        np.mean((1e3 * one.level[:, 2] - one.level[:, 1] / one.robots * one.row) / one.level[:, 0])
+        for one in some
+    ]
+    text = "{:.0f} rows of 1024 robots, and PPO {:.0f}. All else takes {:.1f} ms an iteration"
+    text = text.format(rows[0], rows[1], rest[0]) + f" of 130, and {rest[1]:.1f} of 240."
+    text += (
+        f" With a KL of 0.04 and 3 epochs it is {rows[2]:.0f} rows, and {rest[2]:.1f} ms of 135."
+    )
+    text += " With MuJoCo Warp's step it is {:.0f} and {:.0f} rows, and".format(*rows[3:])
+    text += " {:.1f} ms of 128 and {:.1f} of 233.".format(*rest[3:])
+    assert text in pages["computed"]
+    # who walks by iteration 160, and who still falls there
+    known = [one.walks[:, 2] for one in (best, quick, *dear)]
+    assert [int(np.isfinite(one).sum()) for one in known] == [10, 8, 2, 3]
+    falls, errors, last, parts = {}, {}, {}, {}
+    for row in table.read():
+        key = row["batch"], row["name"]
+        last.setdefault(key, {})[row["seed"]] = 1e3 * float(row["seconds"]) / int(row["iteration"])
+        parts[key] = {name: float(row[name] or "nan") for name in ("ppo_ms", "tail_ms", "fit_ms")}
+        if row["batch"] in (first, second) and row["iteration"] == "160":
+            errors.setdefault((row["batch"], row["name"]), []).append(
+                [float(row[name]) for name in ("tracking_error", "yaw_error")]
+            )
+            if float(row["fall_rate"]) > 0.01:
+                falls[row["name"], row["seed"]] = float(row["fall_rate"])
+    there, here = (first, "g1.kernel.best"), (second, "g1.kernel.best-kl4e3")
+    low, high = min(last[here].values()), max(last[here].values())
+    usual = {f"{ms:.0f}" for ms in last[there].values()}
+    assert (f"{low:.0f} to {high:.0f} ms, of `best` there 28" in pages["runs"]) and usual == {"28"}
+    text = "takes {:.1f} instead of {:.1f} ms, and there are three".format(
+        *(parts[key]["ppo_ms"] for key in (here, there))
+    )
+    assert text in pages["settings"]
+    less = [100 - 100 * parts[here][name] / parts[there][name] for name in ("tail_ms", "fit_ms")]
+    assert "take {:.1f} and {:.0f} % less".format(*less) in pages["computed"]
+    more = []
+    for name in ("best", "ppo1024x12"):
+        ms = last[second, f"g1.warp.{name}"]
+        usual = np.mean([ms[seed] for seed in ms if seed not in ("1100", "1101")])
+        more += sorted(100 * (ms[seed] / usual - 1) for seed in ("1100", "1101"))
+    text = "with `best` by {:.0f} and {:.0f} %, with PPO by {:.0f} and {:.0f} %"
+    assert text.format(*more) in pages["runs"]
+    falls = {key: share for key, share in falls.items() if ".best" in key[0] and "g1" in key[0]}
+    assert falls == {
+        ("g1.kernel.best-kl4e3", "1100"): 0.04,
+        ("g1.kernel.best-kl4e3", "1105"): 0.014,
+        ("g1.warp.best", "1100"): 0.015,
+        ("g1.warp.best", "1101"): 0.025,
+        ("g1.warp.best", "1104"): 0.015,
+    }
+    three = [
+        np.array(errors[key])
+        for key in (
+            (first, "g1.kernel.best"),
+            (second, "g1.warp.best"),
+            (second, "g1.kernel.best-kl4e3"),
+        )
+    ]
+    assert all(table.walks.tracks(*some.T).all() for some in three)
+    text = "{:.3f} m/s and {:.3f} rad/s in the mean with our kernel, {:.3f} and {:.3f} with MuJoCo"
+    assert text.format(*three[0].mean(0), *three[1].mean(0)) in pages["runs"]
+    assert "and {:.3f} and {:.3f} of `best-kl4e3`".format(*three[2].mean(0)) in pages["runs"]
+    counts = []
+    for batch in ("fresh-warp", "fresh-900", "fresh"):
+        some = [
+            row
+            for row in humanoid.table.read("tuning.csv.xz")
+            if row["batch"] == batch and row["name"].startswith("best")
+        ]
+        took, *scores = humanoid.table.evaluations(some)
+        early = took[:, 0] <= 0.7e6
+        reached = stats.reached_by_tracking(took[early], *(score[early] for score in scores))
+        counts.append(int(np.isfinite(reached.walks).sum()))
+    assert counts == [9, 10, 8]
+    fisher = pytest.importorskip("scipy.stats").fisher_exact
+    for (one, of), (other, among), p in (
+        ((2, 5), (10, 10), "p 0.022 (Fisher"),
+        ((2 + 9, 15), (10 + 10 + 8, 30), "11 of 15 and 28 of 30, p 0.16"),
+        ((8, 10), (10, 10), "beside ten of ten p 0.47"),
+    ):
+        value = fisher([[one, of - one], [other, among - other]]).pvalue
+        assert p in pages["runs"] and shows(re.findall(r"p (0\.\d+)", p)[0], value)
 
 
 def test_marks_of_rows_that_cost_nearly_the_same_stand_apart():
@@ -2035,6 +2165,18 @@ def test_seconds_where_a_row_costs_more_and_where_two_runs_break_even():
     assert table.variants([*found, tuned, chosen], best) == [best, chosen]
     assert "(tune-r1, tuning seeds) |" in table.compared([*found, tuned])
     assert "(best-r1) |" in table.compared([*found, tuned, chosen])
+    # it ran on a second host, where a row costs 2 ms and not 1: 0.1 s less for its 100 rows on the first
+    first = [best._replace(row=1.0), fast, few]
+    there = chosen._replace(batch="G, day, second host", row=2.0)
+    assert table.at_cost([*first, there], there, 1.0).level[:, 2].mean() == pytest.approx(1.5)
+    # 1.5 + 0.1 (c - 1) = 1 + 1.16 (c - 1); beside PPO of its own host 1.6 + 0.1 (c - 2) = 1 + 1.16 (c - 2)
+    assert "; for seconds 1.5 (" in table.compared([*first, there])
+    beside = fast._replace(batch=there.batch)
+    assert "; for seconds 2.6 (" in table.compared([*first, there, beside])
+    assert "; for seconds" not in table.compared(first)
+    # no difference is shown at any cost
+    alike = run("ppo1024", 1024, 100, 2.01)
+    assert table.even(best, [alike], 1.0) == "0.1 (below 0.1 to 1e+02)"
 
 
 def test_jobs_of_the_row_costs_are_valid_and_of_places_that_have_a_name():

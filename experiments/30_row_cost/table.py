@@ -10,7 +10,7 @@ its rows. BATCH says card and date; the clock of a seed that ran more than once 
 is, and a walk: dynappo/policy/walks.py.
 
 Computed: `later` gives a run's seconds if its rows cost more, from its own clock and rows. `break_even` is
-the cost at which `best` and the fastest PPO take equally long.
+the cost at which `best` and the fastest PPO take equally long; "for seconds": a setting for seconds and PPO.
 """
 
 import collections
@@ -225,6 +225,12 @@ def later(run: Run, before: float, after, power: float) -> np.ndarray:
     return seconds.reshape(-1, *[1] * after.ndim) + rows.reshape(-1, *[1] * after.ndim) * more
 
 
+def at_cost(found: list[Run], run: Run, ms: float) -> Run:
+    """A run as if its rows had cost `ms`, as those of another host do; all else as its own host took it."""
+    seconds = later(run, cost(found, run), ms, power_of(run.place))
+    return run._replace(level=np.column_stack([run.level[:, :2], seconds]))
+
+
 def settings(found: list[Run], place: str) -> tuple[Run, list[Run]] | None:
     """`(best, PPO's)` of the last day on which `best` has five seeds, else of that with most, and of that
     day's batch with most settings of PPO; of runs all of whose seeds get to the level. None where one of the
@@ -336,8 +342,18 @@ def compared(found: list[Run]) -> str:
         cells += ["-" if quick is best else f"{interval(quick.level[:, 2])} ({named})"]
         cells += [f"{interval(times[0])} ({fast.method})"]
         cells += [ratio(*times), f"{ratio(*steps)} ({few.method})"]
-        lines.append([*cells, even(best, ppos, ms), even(to_walk(best), [*map(to_walk, ppos)], ms)])
+        equal = even(best, ppos, ms) + for_seconds(found, quick, ppos) * (quick is not best)
+        lines.append([*cells, equal, even(to_walk(best), [*map(to_walk, ppos)], ms)])
     return paper.markdown(head, lines)
+
+
+def for_seconds(found: list[Run], quick: Run, ppos: list[Run]) -> str:
+    """Where a setting of `best` for seconds and PPO break even: PPO of the setting's own host where it has
+    run there, else `ppos`, with the setting's rows at their cost."""
+    own = [run for run in found if run[:2] == quick[:2] and run.method.startswith("ppo")]
+    ppos = own or ppos
+    ms = cost(found, ppos[0])
+    return f"; for seconds {even(at_cost(found, quick, ms), ppos, ms)}"
 
 
 def to_walk(run: Run) -> Run:
@@ -351,7 +367,8 @@ def even(best: Run, ppos: list[Run], ms: float) -> str:
     if len(able) < 2 or able[0] is not best:
         return "-"
     at, low, high = break_even(best, able[1:], ms, power_of(best.place))
-    return f"{at:.2g} ({low:.2g} to {high:.2g})"
+    below = "below " if low == COSTS[0] else ""  # no smaller one is computed
+    return f"{at:.2g} ({below}{low:.2g} to {high:.2g})"
 
 
 def ratio(one, other) -> str:

@@ -1,0 +1,100 @@
+"""The kernels of an iteration of physics alone, and of a tail alone, by the time that they take on a GPU.
+
+    python experiments/28_rough/kernels.py OUT.csv go2:rough go2 [--robots 2048] [--set FIELD=VALUE ...]
+
+Each config runs `ITERATIONS` iterations of the program that trains, under JAX's profiler: once with all rows
+real and no fit (`physics`), once with none real (`tail`). A line of OUT.csv is a kernel: config, what ran,
+name, microseconds and launches a row. What PPO's update takes is in both.
+"""
+
+import csv
+import tempfile
+from collections import Counter
+from pathlib import Path
+
+import jax
+from jax.profiler import ProfileData
+
+from dynappo import config as config_lib
+from dynappo.bench import phases
+from dynappo.config import loading
+from dynappo.program import build, devices
+from experiments import paper
+
+ITERATIONS = 10
+
+
+def main():
+    parser = paper.parser(__doc__)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("configs", nargs="+", metavar="ROBOT:VARIANT")
+    parser.add_argument("--robots", type=int, default=2048)
+    parser.add_argument("--most", type=int, default=25, help="kernels to print of each")
+    parser.add_argument(
+        "--set", nargs="+", default=[], metavar="FIELD=VALUE", help="of all configs"
+    )
+    args = parser.parse_args()
+    devices.own_process()
+    rows = []
+    for name in args.configs:
+        config = loading.load(name)
+        sizes = [f"rollout.num_envs={args.robots}", f"run.log_every={ITERATIONS}"]
+        for field in [*sizes, *args.set]:
+            loading.override(config, *field.split("=", 1))
+        rows += of_config(name, config_lib.validate(config))
+    with args.out.open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+    for name, ran in dict.fromkeys((row["config"], row["ran"]) for row in rows):
+        of_run = [row for row in rows if (row["config"], row["ran"]) == (name, ran)]
+        print(f"{name}, {ran}: {sum(row['us_a_row'] for row in of_run):.1f} us a row")
+        for row in of_run[: args.most]:
+            print(f"  {row['us_a_row']:8.2f} us {row['launches_a_row']:6.2f}  {row['kernel']}")
+
+
+def of_config(name: str, config) -> list[dict]:
+    """Rows of OUT.csv, the dearest kernel of a run first."""
+    program = build.program(config)
+    horizon = config.rollout.horizon
+    last = {key: int(column[-1]) for key, column in program.columns.items()}
+    last |= {key: value for key, value in (("model_epochs", 0), ("rounds", 1)) if key in last}
+    rows = []
+    for ran, real in (("physics", horizon), ("tail", 0)):
+        asked = last | {"n_real": real}
+        phases.iteration(config, program, program.state, asked)  # warm
+        with tempfile.TemporaryDirectory() as folder:
+            with jax.profiler.trace(folder):
+                phases.iteration(config, program, program.state, asked)
+            took, launches = kernels(next(Path(folder).rglob("*.xplane.pb")))
+        count = ITERATIONS * horizon
+        rows += [
+            {
+                "config": name,
+                "ran": ran,
+                "kernel": kernel,
+                "us_a_row": float(f"{ns / 1e3 / count:.4g}"),
+                "launches_a_row": float(f"{launches[kernel] / count:.4g}"),
+            }
+            for kernel, ns in took.most_common()
+        ]
+    return rows
+
+
+def kernels(path: Path) -> tuple[Counter, Counter]:
+    """`(ns, launches)` of each kernel of a GPU in a profile; on a CPU, of each operation of XLA's threads."""
+    took, launches = Counter(), Counter()
+    planes = [*ProfileData.from_file(str(path)).planes]
+    device = [plane for plane in planes if plane.name.startswith("/device:GPU")]
+    for plane in device or [plane for plane in planes if plane.name == "/host:CPU"]:
+        for line in plane.lines:
+            if not (line.name.startswith("Stream") if device else "XLA" in line.name):
+                continue
+            for event in line.events:
+                took[event.name] += event.duration_ns
+                launches[event.name] += 1
+    return took, launches
+
+
+if __name__ == "__main__":
+    main()
