@@ -21,6 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.stats
 import toy_env
 from answers import refused
 from toy_runs import assert_close
@@ -2013,6 +2014,73 @@ def test_what_makes_a_robot_stand_where_it_should_walk_slowly_is_as_its_file_say
         assert falls or not float(robot["fall_rate"])
         assert shows(row[3], float(robot["return"]), *falls)
         assert shows(row[4], float(robot["tracking_error"]))
+
+
+SLOWER = {  # job -> its row on gait.md
+    "slow-h": "Go2, slow commands",
+    "slow-narrow-h": "Go2, slow commands, `tracking_std` 0.35",
+    "narrow-h": "Go2, `tracking_std` 0.35",
+    "stand5-h": "Go2, one command in 20 to stand",
+    "stand2-h": "Go2, one in 50",
+    "slow-narrow-g": "Go1, slow commands, `tracking_std` 0.35",
+    "slow-narrow-c": "ANYmal-C, slow commands, `tracking_std` 0.35",
+    "slow-narrow-d": "ANYmal-D, slow commands, `tracking_std` 0.35",
+}
+
+
+def test_five_seeds_that_hear_more_slow_commands_are_as_their_files_say():
+    with (DEPLOY / "slowest.csv").open(newline="") as file:
+        every = list(csv.DictReader(file))
+    jobs = packed("tuning")
+    shown = {row[0]: row[1:] for row in tables_of("gait")[3][1:]}
+    assert set(shown) == set(SLOWER.values())
+    for name, label in SLOWER.items():
+        seeds = [row for row in every if row["policy"].rpartition(".")[0] == name]
+        assert len(seeds) == 5
+        row = shown[label]
+        for cell, column_name in zip(row, "ahead back left turning_left".split(), strict=False):
+            told = sorted(seed[column_name] or "none" for seed in seeds)
+            assert cell == " to ".join(dict.fromkeys([told[0], told[-1]])), (name, column_name)
+        assert shows(row[4], max(float(seed["standing"]) for seed in seeds))
+        heights = [float(seed["clearance"]) for seed in seeds]
+        assert shows(row[5], np.mean(heights), min(heights), max(heights))
+        job = jobs["slow", name]
+        assert len(job) == 5
+        for cell, name_of in ((row[6], "tracking_error"), (row[7], "return")):
+            assert shows(cell, column(job, name_of)[:, -1].mean())
+    text = (DEPLOY / "slow_chosen.txt").read_text()
+    page = " ".join((DEPLOY / "gait.md").read_text().split())
+    chosen = "slow-narrow-g.4", "slow-h.1", "slow-narrow-c.4", "slow-narrow-d.1"
+    back = [re.search(rf"{re.escape(one)} fall_rate.* return ([\d.]+),", text)[1] for one in chosen]
+    assert (
+        "{}, {}, {} and {} on the benchmark's own task".format(*(f"{float(x):.1f}" for x in back))
+        in page
+    )
+    for kind, words in (("stress", "under the disturbances"), ("changes", "in 600 changes")):
+        falls = [re.search(rf"{re.escape(one)} .*{kind} (\d+)", text)[1] for one in chosen]
+        assert "{}, {}, {} and {}".format(*falls) + f" times {words}" in page or (
+            "{}, {}, {} and {} {}".format(*falls, words) in page
+        )
+
+
+def test_more_changes_of_command_did_what_the_page_says():
+    """Falls of the headline's seeds in 200 changes each, with and without; first steps at the level."""
+    folder, falls = EXPERIMENTS / "21_less/results", {}
+    for file, kind in (("changes_lifted.txt", "best"), ("changes_more.txt", "changes")):
+        found = re.findall(
+            rf"^seed 0 {kind}-(\w)\.\d: falls after (\d+) of 200", (folder / file).read_text(), re.M
+        )
+        for robot in "ghcd":
+            falls[kind, robot] = [int(count) for of, count in found if of == robot]
+    page = " ".join((EXPERIMENTS / "21_less/task.md").read_text().split())
+    for robot, text in (("h", "on a Go2 ({} to {} in"), ("g", "on a Go1 ({} to {}, p")):
+        old, new = falls["best", robot], falls["changes", robot]
+        assert len(old) == len(new) == 10
+        assert text.format(sum(old), sum(new)) in page
+        p = scipy.stats.ttest_ind(old, new, equal_var=False).pvalue
+        assert (f"p {p:.3f})" if robot == "h" else f"p {p:.2f})") in page
+    assert len(falls["changes", "c"] + falls["changes", "d"]) == 20
+    assert not sum(falls["changes", "c"] + falls["changes", "d"])
 
 
 @functools.cache
