@@ -4,18 +4,23 @@
 
 brax's PPO has run with Playground's resets of all robots, ten or so between two evaluations, with one, and on
 Go1Getup with twice as many. The reference of a task is the most that any of these has in an evaluation, in
-the mean over seeds; where there is none, what our PPO with Playground's settings has. The first table tells
-when it is reached: the evaluation in which a seed has 90 % and 100 % of it, in millions of simulator steps
-and in seconds of training, in the mean over the seeds that get there. The second compares `best` with brax's
-PPO at equal returns: at each evaluation of `best` that is above all before it, what brax's PPO needs for as
-much, on a straight line between its two evaluations around it, with those resets that get there first; a
-return that one of them has in its first evaluation has no row. The last column is our PPO's. Then returns, by
+the mean over runs; where there is none, what our PPO with Playground's settings has. The first table tells
+when it is reached: where a run first has 90 % and 100 % of it, on a straight line between two evaluations, in
+millions of simulator steps and in seconds of training, in the mean over the runs that get there. The second
+compares `best` with brax's PPO at equal returns: at each evaluation of `best` that is above all before it,
+what brax's PPO needs for as much, on such a line, with those resets that get there first; a return that one
+of them has in its first evaluation has no row. The last column is our PPO's. Then returns and falls, by
 steps.
 
-Means over runs are of the evaluations that two have, or the only one. Runs named -steps and -shared share a
-card, so their seconds are left out. Those of brax's PPO are its steps times what a step takes in a run of the
-same task alone (`rates`); one named -brax-alone is there for that only. The seconds to 90 % and 100 % are
-told only where all seeds that get there ran alone.
+Some of brax's runs were cut off (`whole`): what they would have had later is not known. So each kind counts
+twice, with these runs and without them, and what is better for brax holds: the higher reference, and at an
+equal return the fewer steps.
+
+Means over runs are of the evaluations that two have, or the only one; brax's also of those that one has while
+another is on its way. Runs named -steps and -shared share a card, so their seconds are left out. Those of
+brax's PPO are its steps times what a step takes in runs of the same task alone, in their mean (`rates`); one
+named -brax-alone is there for that only. The seconds to 90 % and 100 % are told only where all runs that get
+there have seconds.
 """
 
 import csv
@@ -51,11 +56,12 @@ def main():
                 continue
             last = [[float(row[k]) for k in ("return", "fall_rate")] for *_, row in some]
             back, falls = np.mean(last, 0)
+            cut = len(some) - len(whole(some))
             size, took = zip(*(when(rows[-1]) for rows in some), strict=True)
             cells = [
                 task,
                 KINDS[kind],
-                len(some),
+                f"{len(some)}" + (f", {cut} cut off" if cut else ""),
                 f"{back:.1f}",
                 f"{falls:.1%}",
                 f"{np.mean(size):.1f}",
@@ -88,14 +94,14 @@ def runs() -> dict[tuple[str, str], list[list[dict]]]:
 
 
 def rates() -> dict[str, float]:
-    """Seconds of a simulator step of brax's PPO, by task, in a run alone on a card."""
+    """Seconds of a simulator step of brax's PPO, by task, in the mean over its runs alone on a card."""
     alone = [path for path in sorted(RESULTS.glob("*-brax-*.csv")) if "-shared" not in path.stem]
-    out = {}
+    each: dict[str, list[float]] = {}
     for path in alone:  # between the first evaluation and the last: the first step is slower
         (first, *_, last), numbers = read(path), ("seconds", "sim_steps")
         took, steps = (float(last[name]) - float(first[name]) for name in numbers)
-        out[named(last["job"])[0]] = took / steps
-    return out
+        each.setdefault(named(last["job"])[0], []).append(took / steps)
+    return {task: float(np.mean(some)) for task, some in each.items()}
 
 
 def read(path: Path) -> list[dict]:
@@ -119,9 +125,25 @@ def tasks(found) -> list[str]:
     return sorted(dict.fromkeys(task for task, _ in found), key=asked.index)
 
 
+def whole(some) -> list[list[dict]]:
+    """The runs that were not cut off: they have the evaluations that their job asks for, if it says so."""
+
+    def asked(rows):
+        fields = dict(text.split("=", 1) for text in rows[0]["job"].split() if "=" in text)
+        return int(fields.get("evals", 0))
+
+    return [rows for rows in some if len(rows) >= asked(rows)]
+
+
+def both_ways(some) -> list[list[list[dict]]]:
+    """All runs of a kind, and without those that were cut off, where that is another choice."""
+    return [some] + ([rest] if (rest := whole(some)) and len(rest) < len(some) else [])
+
+
 def reference(found, task: str) -> float:
-    """The most that brax's PPO has, or ours, in the mean over seeds; NaN without either."""
-    some = [found[task, kind] for kind in BRAX if (task, kind) in found]
+    """The most that brax's PPO has, or ours, in the mean over runs; NaN without either."""
+    kinds = [found[task, kind] for kind in BRAX if (task, kind) in found]
+    some = [runs for kind in kinds for runs in both_ways(kind)]
     some = some or [found[task, "ppo"]] if (task, "ppo") in found else some
     most = [np.mean([max(float(row["return"]) for row in rows) for rows in runs]) for runs in some]
     return float(max(most, default=np.nan))
@@ -133,9 +155,11 @@ def when(row: dict) -> tuple[float, float]:
 
 
 def first(rows: list[dict], level: float) -> tuple[float, float]:
-    """`when` of the first evaluation of a seed that has `level`; NaN if none has."""
-    at = (when(row) for row in rows if float(row["return"]) >= level)
-    return next(at, (np.nan, np.nan))
+    """M steps and seconds until a run first has `level`: on a straight line between two evaluations, or those
+    of its first evaluation; NaN if it never has it."""
+    curve = np.array([(*when(row), float(row["return"])) for row in rows])
+    steps, took = curve[0, :2] if curve[0, 2] >= level else to_return(curve, level)
+    return float(steps), float(took)
 
 
 def first_cells(some, level: float) -> list[str]:
@@ -157,12 +181,15 @@ def average(numbers) -> str:
 
 
 def mean(some, between: bool = False) -> np.ndarray:
-    """M steps, seconds (NaN where no run was alone) and return in the mean over runs, `[E, 3]`.
+    """M steps, seconds (NaN where no run was alone), return and falls in the mean over runs, `[E, 4]`.
 
     At evaluations that two runs have, or the only one; with `between` at those of any run, where two are on
     their way: on a straight line between two evaluations of a run.
     """
-    curves = [np.array([(*when(row), float(row["return"])) for row in rows]) for rows in some]
+    names = "return", "fall_rate"
+    curves = [
+        np.array([(*when(row), *(float(row[k]) for k in names)) for row in rows]) for rows in some
+    ]
     enough, out = min(2, len(curves)), []
     points, times = np.unique(np.concatenate([x[:, 0] for x in curves]), return_counts=True)
     for at in points if between else points[times >= enough]:
@@ -172,7 +199,7 @@ def mean(some, between: bool = False) -> np.ndarray:
         if len(there) >= enough:
             each = np.array([[np.interp(at, curve[:, 0], y) for y in curve.T] for curve in there])
             alone = each[np.isfinite(each[:, 1]), 1]
-            out.append([at, alone.mean() if len(alone) else np.nan, each[:, 2].mean()])
+            out.append([at, alone.mean() if len(alone) else np.nan, *each[:, 2:].mean(0)])
     return np.array(out)
 
 
@@ -182,7 +209,7 @@ def to_return(curve: np.ndarray, level: float) -> np.ndarray:
     above = curve[:, 2] >= level
     if not above.any() or above[0]:
         return np.full(2, np.nan)
-    (*low, less), (*high, more) = curve[above.argmax() - 1], curve[above.argmax()]
+    (*low, less), (*high, more) = curve[above.argmax() - 1, :3], curve[above.argmax(), :3]
     return low + (level - less) / (more - less) * (np.array(high) - low)
 
 
@@ -195,12 +222,13 @@ def beside(found) -> None:
     print(f"| task | return | {heads} |")
     print("|---" * 7 + "|")
     for task in tasks(found):
-        theirs = [mean(found[task, kind], True) for kind in BRAX if (task, kind) in found]
+        kinds = [found[task, kind] for kind in BRAX if (task, kind) in found]
+        theirs = [mean(some, True) for runs in kinds for some in both_ways(runs)]
         if (task, "best") not in found or not theirs:
             continue
         ours = mean(found[task, "best"])
         ppo = mean(found[task, "ppo"], True) if (task, "ppo") in found else None
-        for *mine, level in ours[ours[:, 2] == np.maximum.accumulate(ours[:, 2])]:
+        for *mine, level, _ in ours[ours[:, 2] == np.maximum.accumulate(ours[:, 2])]:
             if any(curve[0, 2] >= level for curve in theirs):
                 continue  # it got there sooner than anybody looked
             others = [to_return(curve, level) for curve in theirs]
@@ -214,12 +242,14 @@ def beside(found) -> None:
 
 
 def returns(found, task: str) -> None:
-    """Returns in the mean over seeds, in every evaluation that all seeds have."""
-    print(f"{task}: M steps, return\n")
+    """Returns and falls in the mean over runs, in every evaluation of `mean`."""
+    print(f"{task}: M steps: return, falls\n")
     for kind, name in KINDS.items():
         some = found.get((task, kind))
         if some:
-            print(f"- {name}:", "; ".join(f"{at:.1f}, {back:.1f}" for at, _, back in mean(some)))
+            curve = mean(some, kind in BRAX)
+            cells = (f"{at:.1f}: {back:.1f}, {fell:.0%}" for at, _, back, fell in curve)
+            print(f"- {name}:", "; ".join(cells))
     print()
 
 
