@@ -21,7 +21,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import scipy.stats
 import toy_env
 from answers import refused
 from toy_runs import assert_close
@@ -1599,16 +1598,37 @@ def test_the_tables_of_controls_are_those_of_their_runs():
     """What writes a tail: to the level, then to a walk; and each part taken out."""
     (table, jobs), page = less("ablation"), (LESS / "model.md").read_text()
     rows = {cells(line)[0]: cells(line)[1:] for line in page.splitlines() if "|" in line}
-    for what, name in (
-        ("the model, from real rows drawn at random (`best`)", "whole"),
-        ("the model, from the robots' last states", "last"),
-        ("the simulator, from the last states, not counted", "simulator"),
+    model = "the model, from real rows drawn at random"
+    for what, name, results in (
+        (f"{model} (`best`)", "best", "headline"),
+        ("the simulator, from the last states, not counted", "now-simulator", "ablation"),
+        ("nothing, 15 epochs: as many updates", "now-real4-15", "ablation"),
+        ("the simulator, counted: 20 real rows, 5 epochs", "now-real20-5", "ablation"),
+        ("20 real rows, 15 epochs", "now-real20-15", "ablation"),
+        (model, "control-whole", "ablation"),
+        ("the model, from the robots' last states", "control-last", "ablation"),
+        ("the simulator, from the last states", "control-simulator", "ablation"),
     ):
         found = []
         for letter in LETTERS.values():
-            one = ours_of(f"control-{name}-{letter}", "ablation")
-            found.append(f"{one.level.mean() / 1e6:.2f}; {table.steps_of(one.walks)}")
-        assert rows[what] == found
+            one = ours_of(f"{name}-{letter}", results)
+            found.append(f"{table.mean(one.level)}; {table.steps_of(one.walks)}")
+        assert rows[what] == found, what
+    words, fewer = " ".join(page.split()), []
+    for letter in LETTERS.values():
+        best, perfect = ours_of(f"best-{letter}"), ours_of(f"now-simulator-{letter}", "ablation")
+        p = stats.welch_of(best.level, perfect.level)
+        level, walk = (
+            100 * (1 - of.mean() / by.mean())
+            for of, by in ((perfect.level, best.level), (perfect.walks, best.walks))
+        )
+        fewer.append((f"{level:.0f}", f"{walk:.0f}", p))
+    (go1, *_, p1), (go2, slow2, p2), (c, slow_c, p3), (d, *_, p4) = fewer
+    assert f"needs {go1} % fewer steps (p {p1:.2f}), a Go2 {go2} (p {p2:.2f})" in words
+    assert f"an ANYmal-C {c} and an ANYmal-D {d} % (p 0.001)" in words
+    assert 0.0005 < min(p3, p4) <= max(p3, p4) < 0.0015
+    assert f"A Go2 needs {slow2} % fewer, an ANYmal-C {slow_c} %" in words
+    assert fewer[0][1] == "80" and fewer[3][1] == "79"  # a fifth of the steps
     for what, name in (
         ("(all parts)", "all"),
         ("predicted falls (`model.falls`)", "falls"),
@@ -2310,7 +2330,7 @@ def test_more_changes_of_command_did_what_the_page_says():
         old, new = falls["best", robot], falls["changes", robot]
         assert len(old) == len(new) == 10
         assert text.format(sum(old), sum(new)) in page
-        p = scipy.stats.ttest_ind(old, new, equal_var=False).pvalue
+        p = stats.welch_of(old, new)
         assert (f"p {p:.3f})" if robot == "h" else f"p {p:.2f})") in page
     assert len(falls["changes", "c"] + falls["changes", "d"]) == 20
     assert not sum(falls["changes", "c"] + falls["changes", "d"])
