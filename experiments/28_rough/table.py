@@ -39,10 +39,13 @@ PPO = {
     "go2-ppo-4096": "go2-best",
     "go2-ppo-gamma": "go2-best",
     "go2-ppo-kl1": "go2-best",
+    "go2-ppo-late": "go2-best",
     "anymal_c-ppo-2048": "anymal_c-best",
     "anymal_c-ppo-4096": "anymal_c-best",
+    "anymal_c-ppo-kl1": "anymal_c-best",
 }
-TODAY = ("fresh", "fresh-ppo", "one-commit-4", "one-commit-5")  # batches at today's settings
+# batches at today's settings
+TODAY = ("fresh", "fresh-ppo", "one-commit-4", "one-commit-5", "one-commit-6")
 CROSSED = (0.7, 0.8, 0.9)  # of all tiles
 WHEN = [*(f"{share:.0%} of tiles".replace("%", " %") for share in CROSSED), "at the level", "kept"]
 
