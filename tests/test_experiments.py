@@ -3161,11 +3161,12 @@ ROUGH_PAGES = {  # batches of 28_rough -> the page with a line of each of their 
     "one-commit": "tail",
     "one-commit-4": "tail",
     "one-commit-5": "robots",
+    "one-commit-6": "robots",
 }
 
 
 def test_the_pages_of_rough_ground_have_the_tables_of_their_runs():
-    """Lines of PPO are in ppo.md, of whatever batch."""
+    """Lines of PPO are in ppo.md, of whatever batch, those of tails in tail.md."""
     table, folder = script("28_rough/table"), EXPERIMENTS / "28_rough"
     page = {path.stem: path.read_text() for path in folder.glob("*.md")}
     packed = table.rows(folder / "results/fresh.csv.xz")
@@ -3181,12 +3182,19 @@ def test_the_pages_of_rough_ground_have_the_tables_of_their_runs():
         for line in table.by_robot([*table.runs(kept)])[2:]:
             name = cells(line)[0]
             found += 1
-            if line not in page["ppo" if "-ppo-" in name else where]:
+            ends = {"ppo": "-ppo-", "tail": "-blind-model"}
+            if line not in page[next((at for at, end in ends.items() if end in name), where)]:
                 missing.add(name)
-    assert missing == {
-        f"anc-{x}" for x in "cell5 im2 model512 robots1536 symmetry".split()
-    }  # cut off
-    assert found == 34 + len(missing)
+    cut = "anc-cell5 anc-im2 anc-model512 anc-robots1536 anc-symmetry anymal_c-blind-model"
+    assert missing == {*cut.split()}  # cut off
+    assert found == 39 + len(missing)
+    early = [row for row in packed if row["batch"] == "fresh" and int(row["sim_steps"]) < 2.8e6]
+    lines = {cells(line)[0]: line for line in table.by_robot([*table.runs(early)])[2:]}
+    blind = [row for row in table.rows() if row["name"].endswith("-blind")]
+    assert {row["sim_steps"] for row in blind[2::3]} == {early[-1]["sim_steps"]} == {"2768896"}
+    for line in table.by_robot([*table.runs(blind)])[2:]:
+        robot = cells(line)[0].partition("-")[0]
+        assert f"{line}\n{lines[f'{robot}-best']}\n" in page["robots"]
     first = table.by_seed([*table.runs([row for row in table.rows() if row["batch"] == "first"])])
     assert sum(line in page["history"] for line in first[2:]) == 10
 
@@ -3196,16 +3204,25 @@ def test_the_short_tables_of_rough_ground_are_those_of_its_pages():
     table, folder = script("28_rough/table"), EXPERIMENTS / "28_rough"
     lines = [cells(x) for x in (folder / "README.md").read_text().splitlines() if x[:1] == "|"]
     rows = [*table.rows(folder / "results/fresh.csv.xz"), *table.rows()]
-    rows = [row for row in rows if row["batch"] in (*table.TODAY, "one-commit")]
+    kept = {*table.TODAY, "one-commit"} - {"one-commit-6"}  # which has controls once more
+    rows = [row for row in rows if row["batch"] in kept or "-ppo-" in row["name"]]
     ends = {row[0]: row for row in map(cells, table.by_robot([*table.runs(rows)])[2:])}
     paces = [cells(x) for x in table.beside_ppo(table.paces())]
     robots = {row[0]: row for row in paces if len(row) == 8}
     times = {row[0]: row for row in paces if len(row) == 7}
+    five = times["go2-ppo-4096 and late"][3].replace(" (", " times with 4096 (")
+    page = " ".join((folder / "README.md").read_text().split())
+    assert five.replace(")", "; five seeds)") in page
+    assert f"(1024 robots) to {five[:3]} times (4096)" in " ".join(
+        (ROOT / "README.md").read_text().split()
+    )
     runs = {
         "Go2, PPO": ("go2-ppo-1024", "go2-ppo-2048", "go2-ppo-4096"),
         "Go2, PPO, KL 0.01": ("go2-ppo-kl1",),
+        "Go2, PPO, KL 0.006 from 88 M on": ("go2-ppo-late",),
         "Go2, PPO, gamma 0.99": ("go2-ppo-gamma",),
         "ANYmal-C, PPO": ("anymal_c-ppo-2048", "anymal_c-ppo-4096"),
+        "ANYmal-C, PPO, KL 0.01": ("anymal_c-ppo-kl1",),
         "Go2, `best`": ("go2-best",),
         "ANYmal-C, `best`": ("anymal_c-best",),
     }
@@ -3276,9 +3293,12 @@ def test_the_pages_of_rough_ground_say_what_their_runs_say():
     lines = (folder / "tail.md").read_text().splitlines()
     rows = [*table.rows(folder / "results/fresh.csv.xz"), *table.rows()]
     of = {}
+    again = {}  # controls once more
     for row in rows:
         if row["batch"] in (*table.TODAY, "one-commit"):
-            of.setdefault(row["name"], {}).setdefault(row["seed"], []).append(row)
+            more = row["batch"] == "one-commit-6" and row["name"].endswith("-blind-model")
+            runs = again if more else of
+            runs.setdefault(row["name"], {}).setdefault(row["seed"], []).append(row)
     worth = {
         "go2": "4.3 points (95 %: 2.0 to 6.5; Welch, p 0.002, by Holm 0.005)",
         "anymal_c": "5.3 points on ANYmal-C (95 %: 1.8 to 8.7; Welch, p 0.011, also by Holm",
@@ -3315,17 +3335,64 @@ def test_the_pages_of_rough_ground_say_what_their_runs_say():
     for name, words in (
         ("anymal_c-best", "94, 86, 66, 52, 48 and 22 %"),
         ("anymal_c-ppo-4096", "90, 90, 71, 56, 45 and 26 %"),
+        ("anymal_c-ppo-kl1", "98, 94, 82, 66, 56 and 41 %"),
     ):
         assert words in heights
         told = [int(x) for x in re.findall(r"\d+", words)]
         np.testing.assert_allclose(told, 100 * by_row(name, "boxes")[4:], atol=0.51)
     assert "91 % of the middle rows' boxes in the mean" in heights
     assert by_row("anymal_c-ppo-4096", "boxes", 10)[4:6].mean() == pytest.approx(0.91, abs=0.005)
-    counts = [
-        sum(table.at_level(table.shares(row)) for row in s)
-        for s in of["anymal_c-ppo-4096"].values()
+    counts = {
+        name: [sum(table.at_level(table.shares(row)) for row in s) for s in of[name].values()]
+        for name in ("anymal_c-ppo-4096", "anymal_c-ppo-kl1")
+    }
+    assert [*counts.values()] == [[3, 4, 5], [14, 14]]
+    assert "three to five of 30 evaluations" in heights and "in 14 of 30 evaluations" in heights
+    # a KL of 0.01 on ANYmal-C, and one that is smaller late on Go2
+    last = {
+        what: [
+            [np.mean([of_row(row) for row in s[-10:]]) for s in of[f"anymal_c-ppo-{name}"].values()]
+            for name in ("kl1", "4096")
+        ]
+        for what, of_row in (
+            ("boxes", lambda row: table.shares(row)["boxes"]),
+            ("all", lambda row: float(row["crossed"])),
+        )
+    }
+    means = [100 * np.mean(some) for k in (0, 1) for some in (last["boxes"][k], last["all"][k])]
+    text = "they cross {:.0f} % of the middle rows' boxes and {:.0f} % of all tiles in the mean"
+    text += ", where the three have {:.0f} and {:.0f} (Welch, p {:.2f} and {:.2f}, not corrected)"
+    assert text.format(*means, *(stats.welch_of(*last[x]) for x in ("boxes", "all"))) in heights
+    for text, one, other in (
+        (
+            "{:.1f} points more than with 0.02 and as many robots ({:.1f} to {:.1f}; Welch, p {:.2f})",
+        )
+        + ("anymal_c-ppo-kl1", "anymal_c-ppo-4096"),
+        ("({:.1f} points more, {:.1f} to {:.1f}; Welch, p {:.2f})", "go2-ppo-late", "go2-ppo-4096"),
+    ):
+        found = 100 * np.array(stats.difference(ends[one], ends[other]))
+        assert text.format(*found, stats.welch_of(ends[one], ends[other])) in ppo, text
+    late = [
+        [round(100 * float(s[i]["crossed"])) for i in (17, 21)] for s in of["go2-ppo-late"].values()
     ]
-    assert (min(counts), max(counts)) == (3, 5) and "three to five of 30 evaluations" in heights
+    assert late == [[94, 98]] * 2 and "go from 94 to 98 % within 20 M steps" in ppo
+    told = [100 * float(s[-1]["crossed"]) for s in again["go2-blind-model"].values()]
+    assert "cross {:.0f} and {:.0f} % instead of 47 and 41".format(*told) in tail
+    told = [
+        100 * float(s[5]["crossed"])
+        for runs in (again, of)
+        for s in runs["anymal_c-blind-model"].values()
+    ]
+    assert "with {:.0f} and {:.0f} %; before it was {:.0f} and {:.0f} %".format(*told) in tail
+    robots = " ".join((folder / "robots.md").read_text().split())
+    text = "blind Go2 cross {:.0f} and {:.0f} % of all tiles, ten with a scan {:.0f} to {:.0f} %;"
+    text += " two ANYmal-C {:.0f} and {:.0f} %, ten with a scan {:.0f} to {:.0f} %"
+    told = []
+    for robot in ("go2", "anymal_c"):
+        told += [100 * float(s[2]["crossed"]) for s in of[f"{robot}-blind"].values()]
+        best = [100 * float(s[2]["crossed"]) for s in of[f"{robot}-best"].values()]
+        told += [min(best), max(best)]
+    assert text.format(*told) in robots
     assert "it climbs in 7 % at its end, with 4096 robots in 94 %; `best` in 49 %" in ppo
     for name, share in (("go2-ppo-1024", 7), ("go2-ppo-4096", 94), ("go2-best", 49)):
         assert 100 * by_row(name, "pit_stairs")[7] == pytest.approx(share, abs=0.51)
@@ -3344,4 +3411,4 @@ def test_the_picture_of_rough_ground_is_drawn_from_all_that_it_names(drawn, monk
     monkeypatch.setattr(plot, "curve", lambda axis, mine, what, label, *_: curves.append(label))
     plot.main()
     assert drawn == ["crossed", "scan"] and (EXPERIMENTS / "28_rough/crossed.png").exists()
-    assert len(curves) == 12 and set(curves) == {look[0] for look in plot.LOOKS.values()}
+    assert len(curves) == 15 and set(curves) == {look[0] for look in plot.LOOKS.values()}
