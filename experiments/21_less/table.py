@@ -1,7 +1,10 @@
 """Simulator steps until robots walk and to fixed evaluated returns, and where runs end, of what run.py wrote.
 
-    python experiments/21_less/table.py FOLDER|FILE.csv.xz [NAME ...]
-        [--falls | --at M ... | --beside | --phases | --parts]
+    python experiments/21_less/table.py FOLDER|FILE.csv.xz [NAME ...] [--batch K]
+        [--falls | --at M ... | --beside | --phases | --parts | --model]
+
+`--batch`: of a file only this one. Batches with the same settings are one job else, though a default may
+have changed between them.
 
 `--falls`: steps until a robot first reaches its level, the falls then, and steps until it does with few
 falls, or stays there with any, at most 3 % and at most 1 % at every later evaluation.
@@ -11,7 +14,8 @@ falls, or stays there with any, at most 3 % and at most 1 % at every later evalu
 per cent of falls while the model writes tails and after.
 
 `--parts`: a line a part that was taken out, a column a robot: steps until it walks, until it is first at the
-level, then return and falls at the end.
+level, then return and falls at the end. `--model` (ablation.csv.xz): the tables of model.md: what writes a
+tail in today's `best`, in that of 2026-11-26, and the parts.
 
 What walking is, README.md and dynappo/policy/walks.py say. All are means over seeds, and in brackets the last
 seed's; a seed that never gets there is counted as missing. The end is the mean of a seed's last three
@@ -32,22 +36,52 @@ from experiments import paper, stats
 TEXT = ("job", "name", "batch")
 END = ("return", "fall_rate", "tracking_error")
 LEVELS = {45: (20, 30, 35, 40), 30: (15, 20, 22, 25)}  # by the best possible return
+ROBOTS = {"g": "Go1", "h": "Go2", "c": "ANYmal-C", "d": "ANYmal-D"}
+TAILS = {  # jobs of controls.txt -> what writes a tail
+    "whole": "the model, from real rows drawn at random (`best`)",
+    "last": "the model, from the robots' last states",
+    "simulator": "**the simulator**, from the last states, not counted",
+    "real4-5": "nothing, 5 epochs",
+    "real4-15": "nothing, 15 epochs: as many updates",
+    "real20-5": "the simulator, counted: 20 real rows, 5 epochs",
+    "real20-15": "20 real rows, 15 epochs",
+}
+PARTS = {  # jobs of ablation.txt -> what is taken out
+    "all": "(all parts)",
+    "falls": "predicted falls (`model.falls`)",
+    "rounds": "rounds of imagination: 1",
+    "robots": "few robots: 4096",
+    "rows": "4 simulated rows: 8",
+    "ramp": "ramp of 5 iterations: 20",
+    "symmetry": "symmetric policy",
+    "known": "known reward (`model.known_reward`)",
+    "kl": "KL 0.02: 0.01",
+    "swish": "swish: ELU",
+    "gamma": "gamma 0.98: 0.99",
+    "presence": "weights by presence (algorithm.py)",
+    "clean": "clean targets (`model.clean`)",
+    "episodes": "episodes of 5 s: 20 s",
+}
+LAST = 300  # iterations of controls.txt
 
 
 def main():
     parser = paper.parser(__doc__)
     parser.add_argument("path", type=Path)
     parser.add_argument("names", nargs="*")
+    parser.add_argument("--batch")
     parser.add_argument("--parts", action="store_true")
+    parser.add_argument("--model", action="store_true")
     parser.add_argument("--falls", action="store_true")
     parser.add_argument("--at", type=float, nargs="+", metavar="M")
     parser.add_argument("--beside", action="store_true")
     parser.add_argument("--phases", action="store_true")
     args = parser.parse_args()
-    jobs = read(args.path)
+    jobs = read(args.path, args.batch)
     jobs = {name: jobs[name] for name in args.names or jobs}
     for asked, lines in (
         (args.parts, parts),
+        (args.model, lambda jobs: model(jobs, read(args.path.with_name("headline.csv.xz")))),
         (args.falls, falls),
         (args.at, lambda jobs: at(jobs, args.at)),
         (args.beside, beside),
@@ -62,13 +96,16 @@ def main():
             print(table(mine, top), end="\n\n")
 
 
-def read(path: Path) -> dict[str, list[dict]]:
-    """`name -> rows`, numbers as such: of a folder of NAME.csv, or of one packed file. Batches that ran the
-    same settings under one name are one job; of others the later is called `NAME of batch K`."""
+def read(path: Path, batch: str | None = None) -> dict[str, list[dict]]:
+    """`name -> rows`, numbers as such: of a folder of NAME.csv, or of one packed file, or of its `batch`.
+    Batches that ran the same settings under one name are one job; of others the later is called
+    `NAME of batch K`."""
     if path.is_dir():
         return {file.stem: rows(file.open(newline="")) for file in sorted(path.glob("*.csv"))}
     jobs, first = {}, {}
     for row in rows(lzma.open(path, "rt", newline="")):
+        if batch not in (None, row["batch"]):
+            continue
         name, settings = row["name"], [f for f in row["job"].split() if not f.startswith("run.")]
         if first.setdefault(name, settings) != settings:
             name += f" of batch {row['batch']}"
@@ -246,9 +283,9 @@ def parts(jobs) -> str:
     """In Markdown, a line for the jobs `NAME-g`, `-h`, `-c` and `-d`: Go1, Go2, ANYmal-C and -D."""
     lines = []
     for name in dict.fromkeys(name[:-2] for name in jobs):
-        found = [jobs.get(f"{name}-{robot}") for robot in "ghcd"]
+        found = [jobs.get(f"{name}-{robot}") for robot in ROBOTS]
         lines.append([name, *(part(job) if job else "" for job in found)])
-    return paper.markdown(["", "Go1", "Go2", "ANYmal-C", "ANYmal-D"], lines)
+    return paper.markdown(["", *ROBOTS.values()], lines)
 
 
 def part(job) -> str:
@@ -258,6 +295,41 @@ def part(job) -> str:
     last = [row for run in runs for row in run[-3:]]
     total, falls = (np.mean([row[name] for row in last]) for name in ("return", "fall_rate"))
     return f"**{mean(found.walks)}**; {mean(found.level)}; {total:.1f}, {100 * falls:.1f} %"
+
+
+def model(jobs, headline) -> str:
+    """In Markdown, the tables of model.md: what writes a tail, today and then, and the parts of `best`.
+
+    Today's `best` is the headline's, evaluated as often as the others. A line has all four robots."""
+    batches: dict[str, dict[str, list[dict]]] = {"1": {}, "2": {}, "3": {}}
+    for job in jobs.values():
+        for row in job:
+            batches[row["batch"]].setdefault(row["name"].removeprefix("control-"), []).append(row)
+    for robot in ROBOTS:
+        best = [row for row in headline[f"best-{robot}"] if row["iteration"] <= LAST]
+        batches["3"][f"whole-{robot}"] = best
+    tables = []
+    for batch, title in ("3", "what writes 16 of 20 rows"), ("2", "in the `best` of 2026-11-26"):
+        found, lines = batches[batch], []
+        for name, label in TAILS.items():
+            asked = [found.get(f"{name}-{robot}") for robot in ROBOTS]
+            if all(asked):
+                lines.append([label, *map(to_both, asked)])
+        tables.append(paper.markdown([title, *ROBOTS.values()], lines))
+    lines = []
+    for name, label in PARTS.items():
+        asked = [batches["1"].get(f"{name}-{robot}") for robot in ROBOTS]
+        lines.append([label, *(part(job) if job else "" for job in asked)])
+    return "\n\n".join([*tables, paper.markdown(["without", *ROBOTS.values()], lines)])
+
+
+def to_both(job) -> str:
+    """Million steps until it is first at the level; until it walks, and the last seed's."""
+    runs = seeds(job)
+    found = reached(runs, walks.level(best(job)))
+    if np.isnan(found.level).all():
+        return f"never in {runs[0][-1]['sim_steps'] / 1e6:.1f}"
+    return f"{mean(found.level)}; {steps_of(found.walks)}"
 
 
 def mean(steps) -> str:

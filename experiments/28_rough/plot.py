@@ -22,7 +22,7 @@ LOOKS = {  # end of a run's name -> label, colour, dashes
     "ppo-4096": ("PPO, 4096 robots (three)", pictures.BLACK, "-"),
     "ppo-gamma": ("PPO, gamma 0.99 (two)", pictures.ORANGE, (0, (5, 1.2, 1, 1.2))),
     "ppo-kl1": ("PPO, KL 0.01 (two)", pictures.GREEN, "-"),
-    "ppo-late": ("PPO, smaller KL late (two)", pictures.SKY, "-"),
+    "ppo-late": ("PPO, KL 0.006 from 88 M on (two)", pictures.SKY, (0, (1, 0.8))),
     "ppo-2048": ("PPO, 2048 robots (two)", pictures.PURPLE, (0, (2, 1))),
     "ppo-1024": ("PPO, 1024 robots (two)", pictures.VERMILION, (0, (5, 2))),
 }

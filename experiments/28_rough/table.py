@@ -1,6 +1,6 @@
 """How far runs on rough ground get: the tables of README.md and the pages beside it, from results/*.csv.xz.
 
-    python experiments/28_rough/table.py [results/FILE.csv.xz | OUT_FOLDER] [--robots] [--batch NAME]
+    python experiments/28_rough/table.py [results/FILE.csv.xz | OUT_FOLDER] [--robots] [--batch NAME] [--to M]
     python experiments/28_rough/table.py --ppo
     python experiments/28_rough/table.py results/fresh.csv.xz --batch fresh --rows
 
@@ -9,6 +9,7 @@ the last evaluation, the share of tries that crossed their tile, of all; of stai
 the robot, up (a pit) and down (a pyramid); of the other kinds in the two middle rows; M steps from which on
 90 % cross such stairs and 95 % each other kind (`level`). `--robots`: a line a run, means over its seeds with
 the worst seed in brackets; of those that get to the level, the mean and the last, and how many they are.
+`--to`: as if runs had ended after so many M steps.
 `--ppo`: M steps that today's PPO needs beside `best`, and how many times as many. `--rows`: a line a run and
 kind, the share that crossed in each row of difficulty, in the mean over seeds.
 """
@@ -44,6 +45,8 @@ PPO = {
     "anymal_c-ppo-4096": "anymal_c-best",
     "anymal_c-ppo-kl1": "anymal_c-best",
 }
+# runs with the same settings until the second one's smaller KL, and M steps of then
+ONE, OTHER, UNTIL = "go2-ppo-4096", "go2-ppo-late", 88.5
 # batches at today's settings
 TODAY = ("fresh", "fresh-ppo", "one-commit-4", "one-commit-5", "one-commit-6")
 CROSSED = (0.7, 0.8, 0.9)  # of all tiles
@@ -66,6 +69,7 @@ def main() -> None:
     parser.add_argument("what", nargs="?", default="")
     parser.add_argument("--robots", action="store_true", help="a line a run, means and worst seeds")
     parser.add_argument("--batch", help="of the file: only this")
+    parser.add_argument("--to", type=float, default=np.inf, metavar="M", help="only up to M steps")
     parser.add_argument("--ppo", action="store_true", help="steps of PPO beside those of `best`")
     parser.add_argument("--rows", action="store_true", help="a line a run and kind, by row")
     args = parser.parse_args()
@@ -73,6 +77,7 @@ def main() -> None:
         print("\n".join(beside_ppo(paces())))
         return
     asked = [row for row in rows(args.what) if args.batch in (None, row.get("batch"))]
+    asked = [row for row in asked if int(row["sim_steps"]) <= 1e6 * args.to]
     if args.rows:
         print("\n".join(by_row(asked)))
         return
@@ -126,8 +131,10 @@ class Pace(NamedTuple):
 
 
 def paces() -> dict[str, Pace]:
-    """Of today's runs, by name."""
-    return {name: pace(name, [*some]) for name, some in groupby(today(), lambda row: row["name"])}
+    """Of today's PPO and its `best`, by name."""
+    asked = {*PPO, *PPO.values()}
+    runs = groupby(today(), lambda row: row["name"])
+    return {name: pace(name, [*some]) for name, some in runs if name in asked}
 
 
 def today() -> list[dict[str, str]]:
@@ -163,19 +170,30 @@ def first(steps: np.ndarray, crossed: np.ndarray, share: float) -> float:
 def beside_ppo(found: dict[str, Pace]) -> list[str]:
     """Two tables, a line a run of PPO: M steps as mean (first to last seed) of those that get there, beside
     `best`; and how many times those of `best`, with Fieller's 95 % interval (`stats.share`) where it is
-    bounded and both have three seeds or more: that of two says nothing."""
+    bounded and both have three seeds or more: that of two says nothing. The last line is of `together`."""
     names = list(dict.fromkeys(name for ppo, best in PPO.items() for name in (best, ppo)))
     lines = head("run", "robots", "M steps", *WHEN)
     for run in (found[name] for name in names):
         lines.append(line(run.name, run.robots, f"{run.steps:.1f}", *map(spread, run.when.T)))
     lines += ["", *head("times `best`", "seeds", *WHEN)]
-    for ppo, best in ((found[name], found[of]) for name, of in PPO.items()):
+    pairs = [(found[name], found[of]) for name, of in PPO.items()]
+    if {ONE, OTHER} <= found.keys():
+        pairs.append((together(found[ONE], found[OTHER]), found[PPO[ONE]]))
+    for ppo, best in pairs:
         cells = [
             times(stats.share(one, other, ppo.steps, best.steps), min(len(one), len(other)))
             for one, other in zip(ppo.when.T, best.when.T, strict=True)
         ]
         lines.append(line(ppo.name, f"{len(ppo.when)} and {len(best.when)}", *cells))
     return lines
+
+
+def together(one: Pace, other: Pace) -> Pace:
+    """The seeds of both, as long as their settings were the same; what is kept is known at the end alone."""
+    when = np.concatenate([one.when, other.when])
+    assert np.nanmax(when[:, :-1]) < UNTIL
+    when[:, -1] = np.nan
+    return Pace(f"{one.name} and {other.name.rpartition('-')[2]}", one.robots, when, one.steps)
 
 
 def spread(steps: np.ndarray) -> str:
