@@ -124,6 +124,8 @@ def scene(player: Player, episode: dict[str, np.ndarray]) -> dict[str, Any]:
         "elevation": 0.56 if fields else 0.2,
         "tile": 0.25,  # m, the side of a field of the floor
         "fall": float((fell[0] + 1) * dt) if len(fell) else None,
+        # of a task without commands none are shown
+        "asked": getattr(player, "ranges", ()) is not None,
         "geoms": [_geom(model, data, i, ids, meshes, bool(player.ground[i])) for i in geoms],
         "meshes": [_mesh(model, i) for i in meshes] + [_field(model, i) for i in fields],
         "root": _packed(root, "<f4"),

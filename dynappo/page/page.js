@@ -311,7 +311,7 @@ function arrows(scene, bodies, command, velocity) {
     out.push({ points, normals, faces: mesh.faces, color });
   };
   const pairs = [[command, COLORS.command, 0], [velocity, COLORS.velocity, 1]];
-  for (const [v, color, k] of pairs) {
+  for (const [v, color, k] of scene.asked ? pairs : pairs.slice(1)) {
     const speed = Math.hypot(v[0], v[1]);
     const at = add(base.position, [0, 0, Math.max(0.3 * size, scene.top) + 0.085 * size * k]);
     if (speed > 0.05)
@@ -622,7 +622,7 @@ function chart(pen, scene, w, h, row) {
     pen.fillStyle = "rgba(20,30,45,0.10)";
     pen.fillRect(0, Math.round(y(0)), w, 1);
     const lines = [[scene.command, COLORS.command, 3, 0.5], [scene.velocity, COLORS.velocity, 1.4, 1]];
-    for (const [values, color, width, strong] of lines) {
+    for (const [values, color, width, strong] of scene.asked ? lines : lines.slice(1)) {
       for (const [from, to, alpha] of [[0, scene.rows - 1, 0.3 * strong], [0, row, strong]]) {
         pen.beginPath();
         for (let i = from; i <= to; i++) pen.lineTo(x(i), y(values[3 * i + k]));
@@ -758,6 +758,7 @@ function main() {
     const command = motion(scene.command, state.row, scene.rows);
     const velocity = motion(scene.velocity, state.row, scene.rows);
     render({ ...state, camera, command, velocity, bodies: pose(scene, state.row) });
+    document.body.classList.toggle("unasked", !scene.asked);
     const ids = ["vx", "vy", "wz"];
     ids.forEach((id, k) => {
       $(`${id}-command`).textContent = signed(command[k]);

@@ -148,7 +148,7 @@ def other(flags: argparse.Namespace) -> tuple[policy_file.Other, Path, str] | No
 def _how_far(iteration: int | None, sim_steps: int | None) -> str:
     """Words on how far a policy's run was, named as in metrics.csv; "" where that is not known."""
     text = f", iteration {iteration}" if iteration is not None else ""
-    return text + (f", {sim_steps:,} sim_steps" if sim_steps is not None else "")
+    return text + (f", {sim_steps:,} simulator steps" if sim_steps is not None else "")
 
 
 def _recorded(what: str, path: Path) -> str:

@@ -36,7 +36,7 @@ def test_it_tells_what_it_wrote_and_the_line_to_try_works(small, tmp_path, monke
     monkeypatch.chdir(tmp_path)
     assert run(small[0], "--out=policy.onnx", "--joint-order=unitree", "--targets") == 0
     first, *lines = capsys.readouterr().out.splitlines()
-    assert first == "dynappo exports go2: small/policy.npz, iteration 7, 123,456 sim_steps"
+    assert first == "dynappo exports go2: small/policy.npz, iteration 7, 123,456 simulator steps"
     told = {line[:12].strip(): line[12:] for line in lines}
     assert list(told) == ["written", "input", "output", "joints", "try", "on a robot"]
     kib = Path("policy.onnx").stat().st_size / 1024

@@ -120,7 +120,7 @@ def test_a_page_says_what_its_arrows_mean(written):
     drawn = dict(re.findall(r"(command|velocity): \[([\d., ]+)\]", text))
     for name, shown in (("command", "command"), ("velocity", "robot's velocity")):
         assert re.search(
-            rf'<span style="color: var\(--{name}\)"><svg.*?</svg>{shown}</span>', legend
+            rf'<span[^>]* style="color: var\(--{name}\)"><svg.*?</svg>{shown}</span>', legend
         )
         one = np.array([int(styles[name][i : i + 2], 16) for i in (0, 2, 4)]) / 255
         np.testing.assert_allclose(one, [float(x) for x in drawn[name].split(",")], atol=0.01)

@@ -145,6 +145,21 @@ def test_the_buttons_change_the_speed_and_whether_it_follows(tab):
     tab.until(f"{pressed} === 'false'")
 
 
+def test_of_a_task_without_commands_none_are_shown(tab):
+    """Neither numbers nor a green line; the velocity stays."""
+    shown = "getComputedStyle(document.getElementById('{}')).display !== 'none'"
+    green = """[...document.getElementById('chart').getContext('2d').getImageData(0, 0, 600, 60).data]
+        .some((x, i, all) => i % 4 === 1 && all[i + 2] > 60 && x > all[i - 1] + 40 && x > all[i + 1] + 20)"""
+    told = [shown.format(one) for one in ("vx-command", "legend-command", "vx-velocity")]
+    seen = []
+    for asked in ("false", "true"):
+        scene = f"{{...JSON.parse(document.getElementById('scene').textContent), asked: {asked}}}"
+        tab.value(f"(postMessage({{scene: {scene}, subtitle: '', measures: []}}, '*'), 0)")
+        tab.until(f"document.body.classList.contains('unasked') !== {asked}")
+        seen.append([tab.value(one) for one in (*told, green)])
+    assert seen == [[False, False, True, False], [True, True, True, True]]
+
+
 def test_nothing_was_wrong_in_the_console_and_nothing_was_fetched(tab):
     """The last test of each window."""
     assert not tab.errors

@@ -78,12 +78,12 @@ def test_it_is_told_how_far_the_run_was(tmp_path, monkeypatch):
         (
             "run",
             1_234_567,
-            "run/checkpoints/10, seed 0 of 0 to 1, iteration 10, 1,234,567 sim_steps",
+            "run/checkpoints/10, seed 0 of 0 to 1, iteration 10, 1,234,567 simulator steps",
         ),
         (
             "run/checkpoints/9",
             1_234_567,
-            "run/checkpoints/9, seed 0 of 0 to 1, iteration 9, 1,234,567 sim_steps",
+            "run/checkpoints/9, seed 0 of 0 to 1, iteration 9, 1,234,567 simulator steps",
         ),
         ("old", None, "old/checkpoints/10, iteration 10"),
     ):
@@ -100,7 +100,7 @@ def test_of_a_bundled_policy_its_record_tells_how_far_the_run_was(tmp_path):
     for name in files.bundled():
         policy, path, told = policy_source.of_flags(SimpleNamespace(what=name, **none))
         known = json.loads(path.with_suffix(".json").read_text())
-        far = f", iteration {known['iteration']}, {known['sim_steps']:,} sim_steps"
+        far = f", iteration {known['iteration']}, {known['sim_steps']:,} simulator steps"
         if policy.iteration is None:
             far += f" by {path.stem}.json"
         assert told.endswith(far)
