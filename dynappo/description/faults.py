@@ -46,7 +46,7 @@ def of_file(xml: Path, text: str, first: Exception) -> str:
         fresh, said = read(xml, text)
         if fresh is not None:
             said += of_spec(fresh, pose=not said)
-    return robot_contract.in_words(said or [plain(first)])
+    return robot_contract.in_words(said or _grouped([plain(first)]))
 
 
 def read(xml: Path, text: str = "") -> tuple[Fresh | None, list[str]]:
@@ -196,13 +196,20 @@ def _elements(data: bytes) -> list[tuple[str, int, tuple[int, int, int]]]:
 # files in a file
 
 
+def included(xml: Path, folder: Path, name: str) -> Path:
+    """The file that `xml` includes by a name, where MuJoCo finds it: in the `folder` of the first file, else
+    in that of `xml`."""
+    path = folder / name
+    return path if path.exists() else xml.parent / name
+
+
 def _with_included(
     xml: Path, first: Exception, folder: Path | None = None
 ) -> tuple[str, list[str]]:
     """`(text, places)`: a file with what it includes in its place, and where each line of that is from.
 
-    Paths are relative to the `folder` of the first file, as MuJoCo reads them. `first`, which MuJoCo said, is
-    raised where one of the files cannot be read, or includes itself.
+    `folder` is that of the first file. `first`, which MuJoCo said, is raised where one of the files cannot be
+    read, or includes itself.
     """
     main, folder = folder is None, folder or xml.parent
     try:
@@ -224,13 +231,13 @@ def _with_included(
             lines = range(line, line + pieces[-1].count("\n") + 1)
             places += [f"line {k}" + f" of {xml.name}" * (not main) for k in lines]
             if name:
-                inner, where = _with_included(folder / name, first, folder)
+                inner, where = _with_included(included(xml, folder, name), first, folder)
                 pieces.append(inner)
                 places += where
             begin = end
         return "\n".join(pieces), places
     except (OSError, ValueError, KeyError, RecursionError, ElementTree.ParseError):
-        raise ValueError(plain(first)) from None
+        raise ValueError(*_grouped([plain(first)])) from None
 
 
 def _placed(error: str, places: list[str]) -> str:
