@@ -247,7 +247,7 @@ STATED = {  # name -> where, and the words
     ],
     "g1 PPO seconds to its level, MuJoCo Warp": [
         ("README.md", "G1, MuJoCo Warp's own step | 4.4 | 6.2 | {:.1f} |"),
-        ("docs/results.md", "6.2 instead of {:.1f} s (five seeds, three of PPO), and a Go1"),
+        ("docs/results.md", "6.2 instead of {:.1f} s (five seeds, three of PPO). On two"),
         ("docs/results.md", "6.2 instead of {:.1f} s (five seeds, three of PPO). With the"),
         ("experiments/README.md", "6.2 instead of {:.1f} s ([30]"),
         ("experiments/25_humanoid/README.md", "6.2 instead of {:.1f} s (five"),
