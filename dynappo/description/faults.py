@@ -35,6 +35,9 @@ NUMBERS = re.compile(
 # what its parser says of an attribute: its name, or its value
 OF_NAME, OF_VALUE = r"attribute:? '(\w+)'", r"(?:keyword|default class name):? '([^']*)'"
 MASSES = "mass and inertia of moving bodies must be larger than mjMINVAL"
+# of a spec, whose elements know their line
+KINDS = "bodies frames geoms joints sites cameras lights pairs excludes equalities tendons actuators".split()
+KINDS += "sensors keys meshes hfields textures materials skins flexes numerics texts tuples plugins".split()
 Fresh = Callable[[], mujoco.MjSpec]
 CURE = "; give each an inertial, or shapes that have a mass"
 
@@ -250,10 +253,7 @@ def _placed(error: str, places: list[str]) -> str:
 
 def _named_places(spec: mujoco.MjSpec, places: list[str]) -> None:
     """Give what MuJoCo's compiler may speak of its place, of which it knows the line of the whole text."""
-    kinds = spec.bodies, spec.geoms, spec.joints, spec.actuators, spec.sensors, spec.equalities
-    for thing in [
-        one for kind in (*kinds, spec.tendons, spec.pairs, spec.excludes) for one in kind
-    ]:
+    for thing in [one for kind in KINDS for one in getattr(spec, kind)]:
         line = re.fullmatch(r"line (\d+)", thing.info) if places else None
         thing.info = places[int(line[1]) - 1] if line else thing.info
 

@@ -523,6 +523,21 @@ def test_an_included_file_is_looked_for_where_mujoco_looks(load, tmp_path):
     assert refused(load, tmp_path / "scene.xml").endswith(": option (line 3 of more.xml)")
 
 
+def test_what_cannot_be_compiled_is_told_with_the_line_of_its_own_file(tmp_path):
+    """Of elements of several kinds in an included file, whose lines come later in the whole text."""
+    (tmp_path / "scene.xml").write_text(
+        '<mujoco>\n\n\n<include file="robot.xml"/>\n<size colour="1"/>\n</mujoco>'
+    )
+    line = 1 + GO1[: GO1.index("</worldbody>")].count("\n")
+    for bad, name in (
+        ('<site name="dot" type="box" size="0"/>', "dot"),
+        ('<light name="lamp" texture="no"/>', "lamp"),
+    ):
+        (tmp_path / "robot.xml").write_text(edit(("</worldbody>", f"{bad}</worldbody>"))(GO1))
+        said = refused(robot.load_xml, tmp_path / "scene.xml")
+        assert f": {name} (line {line} of robot.xml)" in said
+
+
 def test_every_rule_for_a_compiled_robot_is_broken_at_once():
     """One model that breaks what `complete` mends, and what it does not: no rule is left out."""
     change = chain(
