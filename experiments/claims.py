@@ -224,7 +224,7 @@ STATED = {  # name -> where, and the words
         (ROW_COST, "it is 3.75 and {:.2f} s, and no difference"),
     ],
     "g1 seconds to its level, with settings for seconds": [
-        ("README.md", "settings for seconds it takes {:.2f} with our kernel, on another"),
+        ("README.md", "settings for seconds `best` takes {:.2f} with our kernel, on"),
         ("docs/results.md", "`best` is within the errors after {:.2f} s (ten fresh seeds, another"),
         ("docs/speed.md", "22 to 24 ms, within the errors after {:.2f} s, and eight"),
         ("experiments/README.md", "With settings for seconds `best` takes {:.2f} s there"),
@@ -247,7 +247,7 @@ STATED = {  # name -> where, and the words
     ],
     "g1 PPO seconds to its level, MuJoCo Warp": [
         ("README.md", "G1, MuJoCo Warp's own step | 4.4 | 6.2 | {:.1f} |"),
-        ("docs/results.md", "6.2 instead of {:.1f} s (five seeds, three of PPO), and a Go1"),
+        ("docs/results.md", "6.2 instead of {:.1f} s (five seeds, three of PPO). On two"),
         ("docs/results.md", "6.2 instead of {:.1f} s (five seeds, three of PPO). With the"),
         ("experiments/README.md", "6.2 instead of {:.1f} s ([30]"),
         ("experiments/25_humanoid/README.md", "6.2 instead of {:.1f} s (five"),

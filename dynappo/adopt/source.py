@@ -145,9 +145,11 @@ def _source(xml, fresh: faults.Fresh, spec, said: list[str], notes: list[str], *
     raise ValueError(robot_contract.in_words(said))
 
 
-def _no_numbers(xml: Path, root: ElementTree.Element, body: str = "") -> Iterator[str]:
+def _no_numbers(
+    xml: Path, root: ElementTree.Element, body: str = "", above: tuple[Path, ...] = ()
+) -> Iterator[str]:
     """Masses and inertias of an MJCF or a URDF, or of what it includes, that are no number, in words: MuJoCo
-    takes `nan` for one that is not given."""
+    takes `nan` for one that is not given. `above`: the files that include this one, the first one first."""
     for element in root:
         inside = element.get("name", "a body") if element.tag in ("body", "link") else body
         urdf = body and root.tag == "inertial" and element.tag in ("mass", "inertia")
@@ -159,9 +161,12 @@ def _no_numbers(xml: Path, root: ElementTree.Element, body: str = "") -> Iterato
                 )
         if element.tag == "include":
             with contextlib.suppress(OSError, ElementTree.ParseError):  # MuJoCo says so
-                path = xml.parent / element.get("file", "")
-                yield from _no_numbers(path, ElementTree.parse(path).getroot(), inside)
-        yield from _no_numbers(xml, element, inside)
+                files = (*above, xml)
+                path = faults.included(xml, files[0].parent, element.get("file", ""))
+                if path.resolve() not in [file.resolve() for file in files]:
+                    inner = ElementTree.parse(path).getroot()
+                    yield from _no_numbers(path, inner, inside, files)
+        yield from _no_numbers(xml, element, inside, above)
 
 
 def _is_finite(text: str) -> bool:

@@ -35,6 +35,9 @@ NUMBERS = re.compile(
 # what its parser says of an attribute: its name, or its value
 OF_NAME, OF_VALUE = r"attribute:? '(\w+)'", r"(?:keyword|default class name):? '([^']*)'"
 MASSES = "mass and inertia of moving bodies must be larger than mjMINVAL"
+# of a spec, whose elements know their line
+KINDS = "bodies frames geoms joints sites cameras lights pairs excludes equalities tendons actuators".split()
+KINDS += "sensors keys meshes hfields textures materials skins flexes numerics texts tuples plugins".split()
 Fresh = Callable[[], mujoco.MjSpec]
 CURE = "; give each an inertial, or shapes that have a mass"
 
@@ -46,7 +49,7 @@ def of_file(xml: Path, text: str, first: Exception) -> str:
         fresh, said = read(xml, text)
         if fresh is not None:
             said += of_spec(fresh, pose=not said)
-    return robot_contract.in_words(said or [plain(first)])
+    return robot_contract.in_words(said or _grouped([plain(first)]))
 
 
 def read(xml: Path, text: str = "") -> tuple[Fresh | None, list[str]]:
@@ -196,13 +199,20 @@ def _elements(data: bytes) -> list[tuple[str, int, tuple[int, int, int]]]:
 # files in a file
 
 
+def included(xml: Path, folder: Path, name: str) -> Path:
+    """The file that `xml` includes by a name, where MuJoCo finds it: in the `folder` of the first file, else
+    in that of `xml`."""
+    path = folder / name
+    return path if path.exists() else xml.parent / name
+
+
 def _with_included(
     xml: Path, first: Exception, folder: Path | None = None
 ) -> tuple[str, list[str]]:
     """`(text, places)`: a file with what it includes in its place, and where each line of that is from.
 
-    Paths are relative to the `folder` of the first file, as MuJoCo reads them. `first`, which MuJoCo said, is
-    raised where one of the files cannot be read, or includes itself.
+    `folder` is that of the first file. `first`, which MuJoCo said, is raised where one of the files cannot be
+    read, or includes itself.
     """
     main, folder = folder is None, folder or xml.parent
     try:
@@ -224,13 +234,13 @@ def _with_included(
             lines = range(line, line + pieces[-1].count("\n") + 1)
             places += [f"line {k}" + f" of {xml.name}" * (not main) for k in lines]
             if name:
-                inner, where = _with_included(folder / name, first, folder)
+                inner, where = _with_included(included(xml, folder, name), first, folder)
                 pieces.append(inner)
                 places += where
             begin = end
         return "\n".join(pieces), places
     except (OSError, ValueError, KeyError, RecursionError, ElementTree.ParseError):
-        raise ValueError(plain(first)) from None
+        raise ValueError(*_grouped([plain(first)])) from None
 
 
 def _placed(error: str, places: list[str]) -> str:
@@ -243,10 +253,7 @@ def _placed(error: str, places: list[str]) -> str:
 
 def _named_places(spec: mujoco.MjSpec, places: list[str]) -> None:
     """Give what MuJoCo's compiler may speak of its place, of which it knows the line of the whole text."""
-    kinds = spec.bodies, spec.geoms, spec.joints, spec.actuators, spec.sensors, spec.equalities
-    for thing in [
-        one for kind in (*kinds, spec.tendons, spec.pairs, spec.excludes) for one in kind
-    ]:
+    for thing in [one for kind in KINDS for one in getattr(spec, kind)]:
         line = re.fullmatch(r"line (\d+)", thing.info) if places else None
         thing.info = places[int(line[1]) - 1] if line else thing.info
 

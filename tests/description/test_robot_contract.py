@@ -486,6 +486,7 @@ def test_where_nothing_more_can_be_read_mujocos_error_is_all(tmp_path):
     itself = '<mujoco><include file="more.xml"/></mujoco>'
     (tmp_path / "more.xml").write_text(itself)
     assert "already included" in message(tmp_path, include)
+    assert "already included" in refused(source.read, tmp_path / "mine.xml")
 
 
 def test_faults_of_included_files_are_told_with_their_file_and_line(tmp_path):
@@ -505,6 +506,36 @@ def test_faults_of_included_files_are_told_with_their_file_and_line(tmp_path):
     for load in (robot.load_xml, source.read):
         said = refused(load, tmp_path / "scene.xml")
         assert said.endswith(f"unrecognized attribute: 'colour': {found}")
+
+
+@pytest.mark.parametrize("load", [robot.load_xml, source.read])
+def test_an_included_file_is_looked_for_where_mujoco_looks(load, tmp_path):
+    """In the folder of the first file, else in that of the file that includes it."""
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "scene.xml").write_text('<mujoco><include file="parts/robot.xml"/></mujoco>')
+    (tmp_path / "parts/robot.xml").write_text(
+        edit(("<compiler", '<include file="more.xml"/><compiler'))(GO1)
+    )
+    bad = '<mujoco><option colour="red"/></mujoco>'
+    (tmp_path / "parts/more.xml").write_text("<mujoco>\n" + bad.removeprefix("<mujoco>"))
+    assert refused(load, tmp_path / "scene.xml").endswith(": option (line 2 of more.xml)")
+    (tmp_path / "more.xml").write_text("<mujoco>\n\n" + bad.removeprefix("<mujoco>"))
+    assert refused(load, tmp_path / "scene.xml").endswith(": option (line 3 of more.xml)")
+
+
+def test_what_cannot_be_compiled_is_told_with_the_line_of_its_own_file(tmp_path):
+    """Of elements of several kinds in an included file, whose lines come later in the whole text."""
+    (tmp_path / "scene.xml").write_text(
+        '<mujoco>\n\n\n<include file="robot.xml"/>\n<size colour="1"/>\n</mujoco>'
+    )
+    line = 1 + GO1[: GO1.index("</worldbody>")].count("\n")
+    for bad, name in (
+        ('<site name="dot" type="box" size="0"/>', "dot"),
+        ('<light name="lamp" texture="no"/>', "lamp"),
+    ):
+        (tmp_path / "robot.xml").write_text(edit(("</worldbody>", f"{bad}</worldbody>"))(GO1))
+        said = refused(robot.load_xml, tmp_path / "scene.xml")
+        assert f": {name} (line {line} of robot.xml)" in said
 
 
 def test_every_rule_for_a_compiled_robot_is_broken_at_once():
