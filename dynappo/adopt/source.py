@@ -110,7 +110,7 @@ def _mjcf(xml: Path, root: ElementTree.Element, notes: list[str], said: list[str
     if fresh is None:
         raise ValueError(robot_contract.in_words([*said, *more]))
 
-    def without_lost():
+    def without_lost(fresh: faults.Fresh):
         spec = fresh()
         complete.drop_bodies_without_limbs(spec, [])
         for kind, things in (("joint", spec.joints), ("link", spec.bodies[1:])):
@@ -119,9 +119,10 @@ def _mjcf(xml: Path, root: ElementTree.Element, notes: list[str], said: list[str
         return spec, _drop_meshes(spec, Path(spec.modelfiledir or xml.parent) / spec.meshdir)
 
     complete.drop_bodies_without_limbs(fresh(), notes)
-    spec, lost = without_lost()
-    said += [*more, *_lost(lost, notes)]
-    return _source(xml, lambda: without_lost()[0], spec, said, notes, velocity={}, lost=len(lost))
+    spec, lost = without_lost(fresh)
+    said, told = [*said, *more, *_lost(lost, notes)], fresh if more else faults.placed(xml, fresh)
+    again = lambda: without_lost(told)[0]  # noqa: E731
+    return _source(xml, again, spec, said, notes, velocity={}, lost=len(lost))
 
 
 def _source(xml, fresh: faults.Fresh, spec, said: list[str], notes: list[str], **more) -> Source:

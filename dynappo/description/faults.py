@@ -48,7 +48,7 @@ def of_file(xml: Path, text: str, first: Exception) -> str:
     with contextlib.suppress(*READ, OSError, RuntimeError):
         fresh, said = read(xml, text)
         if fresh is not None:
-            said += of_spec(fresh, pose=not said)
+            said += of_spec(fresh if said or text else placed(xml, fresh), pose=not said)
     return robot_contract.in_words(said or _grouped([plain(first)]))
 
 
@@ -64,11 +64,7 @@ def read(xml: Path, text: str = "") -> tuple[Fresh | None, list[str]]:
     def fresh():
         if not text and not said and not places:
             return mujoco.MjSpec.from_file(str(xml))
-        spec = mujoco.MjSpec.from_string(content)
-        if not text:
-            spec.modelfiledir = str(xml.parent)
-        _named_places(spec, places)
-        return spec
+        return _of_text(content, places, "" if text else str(xml.parent))
 
     while len(said) < MOST:
         try:
@@ -89,6 +85,17 @@ def read(xml: Path, text: str = "") -> tuple[Fresh | None, list[str]]:
             if content == before:
                 break
     return None, _grouped(said or [whole])
+
+
+def placed(xml: Path, fresh: Fresh) -> Fresh:
+    """`fresh`, which reads a file; of one that includes others the same with elements that know their file
+    and line, which MuJoCo does not tell of them."""
+    try:
+        content, places = _with_included(xml, first=ValueError())
+        again = partial(_of_text, content, places, str(xml.parent))
+        return again if again() and any(" of " in place for place in places) else fresh
+    except READ:
+        return fresh
 
 
 def of_spec(fresh: Fresh, pose: bool = True) -> list[str]:
@@ -241,6 +248,14 @@ def _with_included(
         return "\n".join(pieces), places
     except (OSError, ValueError, KeyError, RecursionError, ElementTree.ParseError):
         raise ValueError(*_grouped([plain(first)])) from None
+
+
+def _of_text(content: str, places: list[str], folder: str) -> mujoco.MjSpec:
+    """The spec of an MJCF text whose other files are in `folder`; `places`: of its lines, or none."""
+    spec = mujoco.MjSpec.from_string(content)
+    spec.modelfiledir = folder
+    _named_places(spec, places)
+    return spec
 
 
 def _placed(error: str, places: list[str]) -> str:

@@ -536,6 +536,10 @@ def test_what_cannot_be_compiled_is_told_with_the_line_of_its_own_file(tmp_path)
         (tmp_path / "robot.xml").write_text(edit(("</worldbody>", f"{bad}</worldbody>"))(GO1))
         said = refused(robot.load_xml, tmp_path / "scene.xml")
         assert f": {name} (line {line} of robot.xml)" in said
+        # where the parser has nothing to say
+        (tmp_path / "plain.xml").write_text('<mujoco>\n\n<include file="robot.xml"/></mujoco>')
+        for load in (robot.load_xml, source.read):
+            assert f": {name} (line {line} of robot.xml)" in refused(load, tmp_path / "plain.xml")
 
 
 def test_every_rule_for_a_compiled_robot_is_broken_at_once():
