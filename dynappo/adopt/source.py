@@ -118,10 +118,13 @@ def _mjcf(xml: Path, root: ElementTree.Element, notes: list[str], said: list[str
                 thing.name = thing.name or f"{kind}{i}"
         return spec, _drop_meshes(spec, Path(spec.modelfiledir or xml.parent) / spec.meshdir)
 
+    def again():
+        return without_lost(told)[0]
+
     complete.drop_bodies_without_limbs(fresh(), notes)
     spec, lost = without_lost(fresh)
-    said, told = [*said, *more, *_lost(lost, notes)], fresh if more else faults.placed(xml, fresh)
-    again = lambda: without_lost(told)[0]  # noqa: E731
+    told = fresh if more else faults.placed(xml, fresh)
+    said += [*more, *_lost(lost, notes)]
     return _source(xml, again, spec, said, notes, velocity={}, lost=len(lost))
 
 
