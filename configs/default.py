@@ -327,7 +327,7 @@ class Task(NamedTuple):
     heading: bool | None = None  # the yaw rate turns the robot to a heading; exact only
     resample_steps: Steps | None = None  # control steps between two commands; 0: an episode
     standing: Share | None = None  # share of commands that are zero
-    slow_commands: Share | None = None  # of those that are slow: all of one times 0 to 0.5
+    slow_commands: Share | None = None  # share of commands that are slow: times 0 to 0.5
     termination: Literal["parts", "base"] | None = None  # "base" (exact) needs contacts="full"
     undesired: Literal["parts", "thighs"] | None = None  # contacts; "thighs": exact
     # parts at the ground are seen in every physics step (exact) or in the last of a row. Seen

@@ -58,7 +58,7 @@ def read(xml: Path, text: str = "") -> tuple[Fresh | None, list[str]]:
 
     None if more than that is wrong.
     """
-    content, said, whole = text or xml.read_bytes().decode(), [], ""
+    content, said, first = text or xml.read_bytes().decode(), [], ""
     places: list[str] = []  # of each line of `content`, if it has those of other files
 
     def fresh():
@@ -73,18 +73,17 @@ def read(xml: Path, text: str = "") -> tuple[Fresh | None, list[str]]:
                 break
             return fresh, _grouped(said)
         except READ as error:
-            if (
-                "<include" in content and not text and not places
-            ):  # MuJoCo tells no file, and no line
+            # of what is included MuJoCo tells no file, and no line
+            if "<include" in content and not text and not places:
                 content, places = _with_included(xml, first=error)
-                whole = plain(error)
+                first = plain(error)
                 continue
             found = plain(error)
             said.append(_placed(found, places))
             content, before = _without(content, found), content
             if content == before:
                 break
-    return None, _grouped(said or [whole])
+    return None, _grouped(said or [first])
 
 
 def placed(xml: Path, fresh: Fresh) -> Fresh:
