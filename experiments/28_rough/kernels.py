@@ -4,10 +4,12 @@
 
 Each config runs `ITERATIONS` iterations of the program that trains, under JAX's profiler: once with all rows
 real and no fit (`physics`), once with none real (`tail`). A line of OUT.csv is a kernel: config, what ran,
-name, microseconds and launches a row. What PPO's update takes is in both.
+name, microseconds and launches a row, and what it computes: the line of the source and the operation at its
+end, as XLA has noted them. What PPO's update takes is in both. `--hlo FOLDER` keeps the compiled programs.
 """
 
 import csv
+import re
 import tempfile
 from collections import Counter
 from pathlib import Path
@@ -30,6 +32,7 @@ def main():
     parser.add_argument("configs", nargs="+", metavar="ROBOT:VARIANT")
     parser.add_argument("--robots", type=int, default=2048)
     parser.add_argument("--most", type=int, default=25, help="kernels to print of each")
+    parser.add_argument("--hlo", type=Path, help="folder for what XLA compiled, as text")
     parser.add_argument(
         "--set", nargs="+", default=[], metavar="FIELD=VALUE", help="of all configs"
     )
@@ -41,7 +44,7 @@ def main():
         sizes = [f"rollout.num_envs={args.robots}", f"run.log_every={ITERATIONS}"]
         for field in [*sizes, *args.set]:
             loading.override(config, *field.split("=", 1))
-        rows += of_config(name, config_lib.validate(config))
+        rows += of_config(name, config_lib.validate(config), args.hlo)
     with args.out.open("w", newline="") as file:
         writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
         writer.writeheader()
@@ -50,12 +53,18 @@ def main():
         of_run = [row for row in rows if (row["config"], row["ran"]) == (name, ran)]
         print(f"{name}, {ran}: {sum(row['us_a_row'] for row in of_run):.1f} us a row")
         for row in of_run[: args.most]:
-            print(f"  {row['us_a_row']:8.2f} us {row['launches_a_row']:6.2f}  {row['kernel']}")
+            took, launches = row["us_a_row"], row["launches_a_row"]
+            print(f"  {took:8.2f} us {launches:6.2f}  {row['kernel']}  {row['computes']}")
 
 
-def of_config(name: str, config) -> list[dict]:
-    """Rows of OUT.csv, the dearest kernel of a run first."""
+def of_config(name: str, config, hlo: Path | None = None) -> list[dict]:
+    """Rows of OUT.csv, the dearest kernel of a run first; the compiled program into the folder `hlo`."""
     program = build.program(config)
+    text = program.step.args[0].as_text()  # of the compiled chunk
+    if hlo is not None:
+        hlo.mkdir(parents=True, exist_ok=True)
+        (hlo / f"{name.replace(':', '_')}.txt").write_text(text)
+    about = computes(text)
     horizon = config.rollout.horizon
     last = {key: int(column[-1]) for key, column in program.columns.items()}
     last |= {key: value for key, value in (("model_epochs", 0), ("rounds", 1)) if key in last}
@@ -75,10 +84,34 @@ def of_config(name: str, config) -> list[dict]:
                 "kernel": kernel,
                 "us_a_row": float(f"{ns / 1e3 / count:.4g}"),
                 "launches_a_row": float(f"{launches[kernel] / count:.4g}"),
+                "computes": about.get(kernel.replace(".", "_"), ""),
             }
             for kernel, ns in took.most_common()
         ]
     return rows
+
+
+def computes(text: str) -> dict[str, str]:
+    """Of each instruction of a compiled program, as kernels are named after them: `file:line operation`."""
+    tables = {}  # of the text: what has which number
+    for table in re.finditer(r"^([A-Z]\w+)\n((?:\d+ .*\n)+)", text, re.M):
+        rows = (row.split(" ", 1) for row in table[2].splitlines())
+        tables[table[1]] = {number: value for number, value in rows}
+    out = {}
+    for line in text.splitlines():
+        found = re.match(r"\s*(?:ROOT )?%?([\w.-]+) = ", line)
+        operation = re.search(r'op_name="([^"]*)"', line)
+        if not found or not operation:
+            continue
+        place = ""
+        if frame := re.search(r"stack_frame_id=(\d+)", line):
+            at = re.search(r"file_location_id=(\d+)", tables["StackFrames"][frame[1]])
+            file, number = re.search(
+                r"file_name_id=(\d+) .*?line=(\d+)", tables["FileLocations"][at[1]]
+            ).groups()
+            place = f"{Path(tables['FileNames'][file].strip('"')).name}:{number}"
+        out[re.sub(r"[.-]", "_", found[1])] = f"{place} {operation[1].rpartition('/')[2]}".strip()
+    return out
 
 
 def kernels(path: Path) -> tuple[Counter, Counter]:
