@@ -99,18 +99,16 @@ def computes(text: str) -> dict[str, str]:
         tables[table[1]] = {number: value for number, value in rows}
     out = {}
     for line in text.splitlines():
-        found = re.match(r"\s*(?:ROOT )?%?([\w.-]+) = ", line)
-        operation = re.search(r'op_name="([^"]*)"', line)
-        if not found or not operation:
+        found = re.match(r"\s*(?:ROOT )?%?([\w.-]+) = .*op_name=\"([^\"]*)\"", line)
+        if not found:
             continue
-        place = ""
-        if frame := re.search(r"stack_frame_id=(\d+)", line):
-            at = re.search(r"file_location_id=(\d+)", tables["StackFrames"][frame[1]])
-            file, number = re.search(
-                r"file_name_id=(\d+) .*?line=(\d+)", tables["FileLocations"][at[1]]
-            ).groups()
-            place = f"{Path(tables['FileNames'][file].strip('"')).name}:{number}"
-        out[re.sub(r"[.-]", "_", found[1])] = f"{place} {operation[1].rpartition('/')[2]}".strip()
+        place, name = "", re.sub(r"[.-]", "_", found[1])
+        for frame in re.findall(r"stack_frame_id=(\d+)", line):
+            (at,) = re.findall(r"file_location_id=(\d+)", tables["StackFrames"][frame])
+            location = tables["FileLocations"][at]
+            ((file, number),) = re.findall(r"file_name_id=(\d+) .*? line=(\d+)", location)
+            place = Path(tables["FileNames"][file].strip('"')).name + f":{number} "
+        out[name] = place + found[2].rpartition("/")[2]
     return out
 
 
