@@ -32,6 +32,7 @@ PRECISION = {"highest": "highest", "tf32": "tensorfloat32", "bfloat16": "default
 
 # of `(obs, critic_obs)`: `(mean action, value)`
 ActorCritic = Callable[..., tuple[Float[Array, "... A"], Float[Array, "..."]]]
+MAX_SLICES = 8  # of an observation, for `columns`
 MAX_MEAN = 10.0  # units of the action; policy/policy_file.py and the ONNX file clip there too
 
 
@@ -140,11 +141,21 @@ def actor_critic(static: Static, params: dict) -> ActorCritic:
 def inputs(static: Static, env: Env, obs: Float[Array, "... O"], prop: Float[Array, "... P"]):
     """What the policy and the value function see of an observation and its exact `prop`: two arrays, or
     one array twice."""
-    of_actor = obs if env.views is None else obs[..., env.views.actor]
+    of_actor = obs if env.views is None else columns(obs, env.views.actor)
     if static.ppo.critic == "obs":
         return of_actor, of_actor
     exact = jnp.concatenate([prop, obs[..., env.prop_size :]], -1)
-    return of_actor, exact if env.views is None else exact[..., env.views.critic]
+    return of_actor, exact if env.views is None else columns(exact, env.views.critic)
+
+
+def columns(x: Float[Array, "... O"], numbers: np.ndarray) -> Float[Array, "... K"]:
+    """The columns `numbers` of x: neighbours as one slice, as XLA's gather reads and writes a column at a
+    time (an H200 takes 4.7 us for 235 columns of 2048 robots)."""
+    starts = np.flatnonzero(np.diff(numbers, prepend=-2) != 1)
+    if len(starts) > MAX_SLICES:
+        return x[..., numbers]
+    runs = np.split(numbers, starts[1:])
+    return jnp.concatenate([x[..., run[0] : run[-1] + 1] for run in runs], axis=-1)
 
 
 def input_sizes(static: Static, env: Env) -> tuple[int, int]:

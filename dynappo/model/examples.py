@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from dynappo.learner import networks
 from dynappo.types import Env, Hyper, Static, Transition
 
 
@@ -30,7 +31,7 @@ class Examples(NamedTuple):
 
 def inputs(env: Env, obs: Float[Array, "... O"], action) -> Float[Array, "... I"]:
     """What the model sees of a row."""
-    seen = obs if env.views is None else obs[..., env.views.model]
+    seen = obs if env.views is None else networks.columns(obs, env.views.model)
     return jnp.concatenate([seen, action], -1)
 
 

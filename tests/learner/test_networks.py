@@ -271,3 +271,15 @@ def test_the_activation_stands_between_layers_and_not_after_the_last(activation)
         h = outputs
     assert min(h) < 0  # else relu after the last layer would pass
     np.testing.assert_allclose(networks.apply(model, params, x), h, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("count", [1, 3, networks.MAX_SLICES, networks.MAX_SLICES + 1])
+def test_columns_are_those_asked_for_in_their_order(count):
+    rng = np.random.default_rng(count)
+    runs = [np.arange(start, start + rng.integers(1, 4)) for start in rng.permutation(count) * 5]
+    numbers = np.concatenate(runs)
+    x = rng.normal(size=(2, 3, 5 * count + 4)).astype(np.float32)
+    found = networks.columns(jnp.asarray(x), numbers)
+    np.testing.assert_array_equal(found, [[[row[i] for i in numbers] for row in y] for y in x])
+    gathers = "gather" in str(jax.make_jaxpr(lambda x: networks.columns(x, numbers))(x))
+    assert gathers == (count > networks.MAX_SLICES)
