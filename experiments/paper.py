@@ -11,6 +11,7 @@ import csv
 import json
 import lzma
 import os
+from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -83,6 +84,16 @@ def options(folder: Path, of: argparse.ArgumentParser) -> argparse.Namespace:
             os.environ.get("XLA_FLAGS", "") + " --xla_backend_optimization_level=0"
         )
     return args
+
+
+def chosen(jobs: Iterable[str], names: Sequence[str]) -> list[str]:
+    """The jobs that `names` ask for, in their order: the one of that very name, else all that begin so. All
+    without names."""
+    jobs = list(jobs)
+    asked = [
+        [name] if name in jobs else [job for job in jobs if job.startswith(name)] for name in names
+    ]
+    return list(dict.fromkeys(job for found in asked for job in found)) if names else jobs
 
 
 def table(name: str) -> list[dict[str, Any]]:

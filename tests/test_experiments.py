@@ -106,6 +106,14 @@ def keep(folder, name, returns):
 # On the results that are there
 
 
+def test_a_name_asks_for_its_job_or_for_all_that_begin_so():
+    jobs = ["go2-blind-model", "go2-blind", "go2-best", "go1-best"]
+    assert paper.chosen(jobs, []) == jobs
+    assert paper.chosen(jobs, ["go2-blind"]) == ["go2-blind"]
+    assert paper.chosen(jobs, ["go1", "go2-b", "go2-blind"]) == ["go1-best", *jobs[:3]]
+    assert paper.chosen(iter(jobs), ["anymal"]) == []
+
+
 @pytest.mark.parametrize("name", PLOTS)
 def test_a_script_makes_the_tables_that_are_stored_and_draws_its_pictures(name, tmp_path, drawn):
     folder = EXPERIMENTS / name.partition("/")[0]

@@ -8,7 +8,7 @@ becomes OUT_FOLDER/NAME.csv, a row an evaluation and seed: return and falls, err
 and means of training since the evaluation before (`TRAINED`; `terrain_row` is the mean row of the robots on
 rough ground). Five seeds at once from 100 on, 100 episodes of 20 s each every 20 iterations, unless the line
 says otherwise (run.seed, run.num_seeds, run.eval_every ...). `control=NAME` among the fields is one of
-controls.py. With NAMEs, only jobs that begin so. Jobs whose CSV is there are skipped.
+controls.py. With NAMEs, those jobs in their order, or all that begin so. Jobs whose CSV is there are skipped.
 A seed whose numbers are no longer finite trains on beside the others; OUT_FOLDER/NAME.log says since when.
 While a job runs, its rows so far are in OUT_FOLDER/NAME.csv.part, so one that is stopped loses only what
 came after its last evaluation. `--policies` writes OUT_FOLDER/NAME.K.npz, the policy of seed K (0, 1, ...)
@@ -84,7 +84,7 @@ def main(about=__doc__, script=__file__, evaluation=None):
             (args.out / f"{name}.log").write_text(done.stderr)
         print(name, "done" if done.returncode == 0 else said, flush=True)
 
-    asked = [name for name in jobs if not args.names or name.startswith(tuple(args.names))]
+    asked = paper.chosen(jobs, args.names)
     with ThreadPoolExecutor(args.workers) as pool:
         list(pool.map(start, [name for name in asked if not (args.out / f"{name}.csv").exists()]))
 

@@ -3,7 +3,7 @@
     python experiments/30_row_cost/run.py OUT_FOLDER JOBS.txt [PLACE ...] [--ahead 3]
 
 A line of JOBS.txt is `NAME ROBOT:VARIANT [FIELD=VALUE ...]` and becomes OUT_FOLDER/NAME.csv, a row an
-evaluation and seed; with PLACEs, only those whose names begin so, in that order. Four fields are not of the
+evaluation and seed; with PLACEs, those jobs in their order, or all that begin so. Four fields are not of the
 config: `seeds=5` trains so many from run.seed on, one after another, by one compiled program; `episodes=500`
 of `steps=1000` control steps are an evaluation; `engine=mujoco_warp` simulates by MuJoCo Warp's own step what
 a kernel of ours would take. A job has a process of its own, and jobs whose CSV is there are skipped.
@@ -59,9 +59,8 @@ def main():
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
     lines = [line.split() for line in args.jobs.read_text().splitlines() if line.strip()]
-    places = args.places or [""]
-    lines = [line for place in places for line in lines if line[0].startswith(place)]
-    jobs = {name: read(job, fields) for name, job, *fields in lines}
+    every = {name: (job, fields) for name, job, *fields in lines}
+    jobs = {name: read(*every[name]) for name in paper.chosen(every, args.places)}
     if args.only:
         one(args.out / f"{args.only}.csv", jobs[args.only], args.compile)
         return
