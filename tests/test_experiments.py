@@ -6,6 +6,7 @@ import contextlib
 import csv
 import functools
 import importlib
+import inspect
 import io
 import itertools
 import json
@@ -3865,3 +3866,28 @@ def test_the_picture_of_rough_ground_is_drawn_from_all_that_it_names(drawn, monk
     plot.main()
     assert drawn == ["crossed", "scan"] and (EXPERIMENTS / "28_rough/crossed.png").exists()
     assert len(curves) == 15 and set(curves) == {look[0] for look in plot.LOOKS.values()}
+
+
+def test_a_kernel_is_told_by_its_line_and_operation(tmp_path):
+    kernels = importlib.import_module("experiments.28_rough.kernels")
+
+    def wave(x):
+        return jnp.sin(x @ x)
+
+    kept = jax.config.jax_traceback_in_locations_limit
+    jax.config.update("jax_traceback_in_locations_limit", 10)  # conftest.py leaves places out
+    try:
+        compiled = jax.jit(wave).lower(jnp.ones((64, 64))).compile()
+    finally:
+        jax.config.update("jax_traceback_in_locations_limit", kept)
+    line = inspect.getsourcelines(wave)[1] + 1
+    said = kernels.computes(compiled.as_text())
+    assert {f"test_experiments.py:{line} {what}" for what in ("dot_general", "sin")} <= set(
+        said.values()
+    )
+    with jax.profiler.trace(tmp_path):
+        for _ in range(3):
+            jax.block_until_ready(compiled(jnp.ones((64, 64))))
+    took, launches = kernels.kernels(next(tmp_path.rglob("*.xplane.pb")))
+    ran = [name for name in took if said.get(kernels.plain(name), "").endswith("dot_general")]
+    assert ran and all(launches[name] == 3 and took[name] > 0 for name in ran)

@@ -84,11 +84,16 @@ def of_config(name: str, config, hlo: Path | None = None) -> list[dict]:
                 "kernel": kernel,
                 "us_a_row": float(f"{ns / 1e3 / count:.4g}"),
                 "launches_a_row": float(f"{launches[kernel] / count:.4g}"),
-                "computes": about.get(kernel.replace(".", "_"), ""),
+                "computes": about.get(plain(kernel), ""),
             }
             for kernel, ns in took.most_common()
         ]
     return rows
+
+
+def plain(name: str) -> str:
+    """The name of an instruction as its kernel has it."""
+    return re.sub(r"[.-]", "_", name)
 
 
 def computes(text: str) -> dict[str, str]:
@@ -102,7 +107,7 @@ def computes(text: str) -> dict[str, str]:
         found = re.match(r"\s*(?:ROOT )?%?([\w.-]+) = .*op_name=\"([^\"]*)\"", line)
         if not found:
             continue
-        place, name = "", re.sub(r"[.-]", "_", found[1])
+        place, name = "", plain(found[1])
         for frame in re.findall(r"stack_frame_id=(\d+)", line):
             (at,) = re.findall(r"file_location_id=(\d+)", tables["StackFrames"][frame])
             location = tables["FileLocations"][at]
