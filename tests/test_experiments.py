@@ -475,6 +475,11 @@ def test_steps_and_seconds_to_equal_returns(playground_runs, tmp_path, capsys):
     told = [line.split(" | ")[-1] for line in capsys.readouterr().out.splitlines()[2:5]]
     expected = [1 + 2 * (level - 2.25) / 11 for level in (6.5, 11, 11.5)]
     assert told == [f"{x:.1f} |" for x in expected]
+    # of two evaluations too far apart there is no line: at 3 M only the two others count
+    far = 1e6 * (1 + table.LINE) + 1
+    (tmp_path / "h.csv").write_text(f"{run}{job},2,1,1e6,9,2,0\n{job},2,9,{far},9,99,0\n")
+    mean = table.mean(table.runs()["Go1Getup", "ppo"], between=True)[:, (0, 2)]
+    np.testing.assert_allclose(mean, [(1, (2 * 2.25 + 2) / 3), (3, 13.25)])
 
 
 def test_runs_that_share_a_card_have_no_seconds(playground_runs, tmp_path):
@@ -813,19 +818,72 @@ def test_our_ppo_beside_braxs_is_as_playgrounds_page_says(playground):
         return [ours / brax for ours, brax in mine]
 
     words = words_of("baseline.md")
-    same, spot = shares("Go1", "Handstand", "H1"), shares("Spot")
-    assert (
-        f"as many steps on Go1, Handstand and H1 ({min(same):.1f} to {max(same):.1f} times" in words
-    )
-    assert f"and {max(spot):.1f} to {min(spot):.1f} times as many on Spot" in words
-    fewer = shares("G1", "Berkeley", "T1", "Getup", "Go1, rough", "Apollo", "Barkour", "Op3")
-    told = "on G1, Berkeley, T1, Getup, Go1's rough ground, Apollo, Barkour and Op3."
+    for told, names in (
+        (
+            "as many steps on Go1 and Handstand ({:.1f} to {:.1f} times brax's)",
+            ("Go1", "Handstand"),
+        ),
+        ("{:.1f} to {:.1f} times as many on Getup,", ("Getup",)),
+        ("and {:.1f} to {:.1f} times on H1.", ("H1",)),
+    ):
+        assert told.format(min(shares(*names)), max(shares(*names))) in words
+    spot = shares("Spot")
+    assert f"{max(spot):.1f} to {min(spot):.1f} times on Spot" in words
+    fewer = shares("G1", "Berkeley", "T1", "Go1, rough", "Apollo", "Barkour", "Op3")
+    told = "on G1, Berkeley, T1, Go1's rough ground, Apollo, Barkour and Op3."
     assert f"{100 - 100 * max(fewer):.0f} to {100 - 100 * min(fewer):.0f} % fewer {told}" in words
-    assert f"which needs {min(fewer):.1f} to {max(same):.1f} times brax's steps" in words_of(
+    every = [float(row[6]) / float(row[3].split(",")[0]) for row in rows if row[6] != "-"]
+    assert f"which needs {min(every):.1f} to {max(every):.1f} times brax's steps" in words_of(
         "README.md"
     )
     some = shares("G1", "Op3")
     assert f"about on G1 and Op3 ({min(some):.1f} to {max(some):.1f} times the steps)" in words
+
+
+def test_what_our_ppo_has_in_the_end_is_as_playgrounds_page_says(playground):
+    """The run of ours with more than 40 M steps of each task, the last of its seed, beside brax's PPO."""
+    table, found, task_of, _ = playground
+    part = table_of("baseline.md", "| task | our PPO: return |")
+    for name, *shown in part:
+        task, seed = task_of(name), "0" if name == "G1" else "2"
+        runs = [run for run in found[task, "ppo"] if run[0]["seed"] == seed]
+        row = max((run[-1] for run in runs), key=table.when)
+        level = float(row["return"])
+        kinds = [found[task, kind] for kind in table.BRAX if (task, kind) in found]
+        theirs = [table.mean(some, True) for runs in kinds for some in table.both_ways(runs)]
+        needs = [x for curve in theirs if np.isfinite(x := table.to_return(curve, level)[0])]
+        needs = f"{min(needs):.0f}" if needs else "never"
+        highest = f"{needs} ({table.reference(found, task):.1f})"
+        assert shown == [f"{level:.1f}", f"{table.when(row)[0]:.0f}", highest], name
+    long = {
+        task
+        for task in table.tasks(found)
+        if max(table.when(run[-1])[0] for run in found[task, "ppo"]) > 40
+    }
+    assert {task_of(name) for name, *_ in part} == long
+    ends = {name: back for name, back, *_ in part}
+    above = "above the highest of `best` on Spot ({}), Barkour ({}) and H1 ({})"
+    assert above.format(*(ends[x] for x in ("Spot", "Barkour", "H1"))) in words_of("README.md")
+    for name in ("Spot", "Barkour", "H1"):
+        best = table.mean(found[task_of(name), "best"])[:, 2].max()
+        assert float(ends[name]) > best
+
+
+def test_runs_that_were_cut_off_and_seeds_that_ran_twice_are_counted(playground):
+    """Of brax's, beside the three that no job says it of; and the tasks on which a seed ran twice."""
+    table, found, task_of, _ = playground
+    theirs = {key: runs for key, runs in found.items() if key[1] in table.BRAX}
+    assert sum(len(runs) - len(table.whole(runs)) for runs in theirs.values()) == 18 - 3
+    words = words_of("README.md")
+    assert "Eighteen runs were cut off: the three above, and fifteen of those" in words
+    twice = {
+        task
+        for (task, _), runs in theirs.items()
+        if len({run[0]["seed"] for run in runs}) < len(runs)
+    }
+    assert twice == {*map(task_of, ("Berkeley", "G1", "Getup", "Apollo", "Op3"))}
+    assert "On five tasks a seed ran twice" in words
+    assert "ran twice on Berkeley, G1, Getup, Apollo and Op3" in words_of("returns.md")
 
 
 @pytest.mark.parametrize(

@@ -67,7 +67,7 @@ def panel(axis, found, task, unit):
         for at, back in curves:
             axis.plot(at, back, color=colour, lw=0.7, alpha=0.5)
         if curves:
-            mean = table.mean(some, kind in table.BRAX)
+            mean = table.mean(some, kind != "best")
             axis.plot(mean[:, unit], mean[:, 2], color=colour, lw=1.8)
     if unit == 0 and task in PUBLISHED:
         for at, back, mark in zip((202, 50), PUBLISHED[task], MARKS, strict=True):

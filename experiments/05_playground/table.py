@@ -16,11 +16,14 @@ Some of brax's runs were cut off (`whole`): what they would have had later is no
 twice, with these runs and without them, and what is better for brax holds: the higher reference, and at an
 equal return the fewer steps.
 
-Means over runs are of the evaluations that two have, or the only one; brax's also of those that one has while
-another is on its way. Runs named -steps and -shared share a card, so their seconds are left out. Those of
-brax's PPO are its steps times what a step takes in runs of the same task alone, in their mean (`rates`); one
-named -brax-alone is there for that only. The seconds to 90 % and 100 % are told only where all runs that get
-there have seconds.
+A seed that ran twice counts as two runs, as runs of a seed differ on a GPU.
+
+Means over runs are of the evaluations that two have, or the only one. Those of brax's PPO and of ours are
+also of those that one has while another is on its way, on a straight line between evaluations at most `LINE`
+apart. Runs named -steps and -shared share a card, so their seconds are left out. Those of brax's PPO are its
+steps times what a step takes in runs of the same task alone, in their mean (`rates`); one named -brax-alone
+is there for that only. The seconds to 90 % and 100 % are told only where all runs that get there have
+seconds.
 """
 
 import csv
@@ -38,6 +41,7 @@ KINDS = {  # variant -> what the page calls it
 }
 BRAX = "brax", "brax1", "brax10"
 SHARES = 0.9, 1.0  # of the reference
+LINE = 12.0  # M steps: a return that bends between two evaluations further apart is not on a line
 
 
 def main():
@@ -184,7 +188,7 @@ def mean(some, between: bool = False) -> np.ndarray:
     """M steps, seconds (NaN where no run was alone), return and falls in the mean over runs, `[E, 4]`.
 
     At evaluations that two runs have, or the only one; with `between` at those of any run, where two are on
-    their way: on a straight line between two evaluations of a run.
+    their way: on a straight line between two evaluations of a run, at most `LINE` apart.
     """
     names = "return", "fall_rate"
     curves = [
@@ -193,14 +197,20 @@ def mean(some, between: bool = False) -> np.ndarray:
     enough, out = min(2, len(curves)), []
     points, times = np.unique(np.concatenate([x[:, 0] for x in curves]), return_counts=True)
     for at in points if between else points[times >= enough]:
-        there = [curve for curve in curves if curve[0, 0] <= at <= curve[-1, 0]]
-        if not between:
-            there = [curve for curve in there if at in curve[:, 0]]
+        there = [curve for curve in curves if apart(curve[:, 0], at) <= LINE * between]
         if len(there) >= enough:
             each = np.array([[np.interp(at, curve[:, 0], y) for y in curve.T] for curve in there])
             alone = each[np.isfinite(each[:, 1]), 1]
             out.append([at, alone.mean() if len(alone) else np.nan, *each[:, 2:].mean(0)])
     return np.array(out)
+
+
+def apart(points: np.ndarray, at: float) -> float:
+    """How far apart those two of the rising `points` are that `at` is between: 0 if it is one, else inf."""
+    if at in points:
+        return 0.0
+    after = np.searchsorted(points, at)
+    return points[after] - points[after - 1] if 0 < after < len(points) else np.inf
 
 
 def to_return(curve: np.ndarray, level: float) -> np.ndarray:
@@ -247,7 +257,7 @@ def returns(found, task: str) -> None:
     for kind, name in KINDS.items():
         some = found.get((task, kind))
         if some:
-            curve = mean(some, kind in BRAX)
+            curve = mean(some, kind != "best")
             cells = (f"{at:.1f}: {back:.1f}, {fell:.0%}" for at, _, back, fell in curve)
             print(f"- {name}:", "; ".join(cells))
     print()
