@@ -30,12 +30,13 @@ ROUGH = "experiments/28_rough/results/fresh.csv.xz"
 FEW = "experiments/27_few/results/gpu.csv.xz"
 LAPTOP = "experiments/04_laptop/results/make_train.txt"
 FRESH = "2026-11-27", "e01cca1"
-ALONE = (
-    "H200, 2026-11-27",
-    "24fde7d",
-)  # batches of SECONDS; rows of the first do not have its commit
-NEWER = "H200, 2026-11-28", "a00ece3"
-SECOND = "H200, 2026-11-28, second host", "7ab526d7"
+COMMITS = {  # of batches of SECONDS; rows of the first do not have theirs
+    "H200, 2026-11-27": "24fde7d",
+    "H200, 2026-11-27, second host": "b770579",
+    "H200, 2026-11-28": "a00ece3",
+    "H200, 2026-11-28, second host": "7ab526d7",
+    "H200, 2026-11-28, third host": "6b56a815",
+}
 CORES = "two CPU cores", "2026-11-26"
 ROBOTS = {"go1": "g", "go2": "h", "anymal_c": "c", "anymal_d": "d"}
 STARTS = "an H200 and slower hosts", "2026-11-24", "", "experiments/03_speed/kernel.md"
@@ -224,9 +225,9 @@ STATED = {  # name -> where, and the words
         (ROW_COST, "it is 3.75 and {:.2f} s, and no difference"),
     ],
     "g1 seconds to its level, with settings for seconds": [
-        ("README.md", "settings for seconds `best` takes {:.2f} with our kernel, which"),
+        ("README.md", "settings for seconds `best` takes {:.2f} on a G1 with our kernel, which"),
         ("docs/results.md", "`best` is within the errors after {:.2f} s (ten fresh seeds, another"),
-        ("docs/speed.md", "22 to 24 ms, within the errors after {:.2f} s, and eight"),
+        ("docs/speed.md", "22 to 24 ms, within the errors after {:.2f} s (run again"),
         ("experiments/README.md", "With settings for seconds `best` takes {:.2f} s there"),
         (
             "experiments/25_humanoid/README.md",
@@ -238,26 +239,53 @@ STATED = {  # name -> where, and the words
     "g1 seconds to its level, MuJoCo Warp": [
         ("README.md", "G1, MuJoCo Warp's own step | 4.4 | {:.1f} |"),
         ("docs/results.md", "on a G1 at 4.4 ms, after {:.1f} instead of"),
-        ("docs/results.md", "it is {:.1f} instead of 15.2 s (five seeds, three"),
+        ("docs/results.md", "it is {:.1f} instead of 15.0 s (five seeds each)"),
         ("experiments/README.md", "At 4.4 ms `best` takes {:.1f} instead of"),
-        ("experiments/25_humanoid/README.md", "it is {:.1f} instead of 15.2 s (five"),
+        ("experiments/25_humanoid/README.md", "it is {:.1f} instead of 15.0 s (five"),
         ("experiments/25_humanoid/README.md", "within the errors after {:.2f} s and PPO"),
         ("experiments/25_humanoid/seconds.md", "sooner: within the errors after {:.2f} ±"),
         (ROW_COST, "a G1 takes {:.2f} s with `best`"),
     ],
     "g1 PPO seconds to its level, MuJoCo Warp": [
         ("README.md", "G1, MuJoCo Warp's own step | 4.4 | 6.2 | {:.1f} |"),
-        ("docs/results.md", "6.2 instead of {:.1f} s (five seeds, three of PPO). On two"),
-        ("docs/results.md", "6.2 instead of {:.1f} s (five seeds, three of PPO). With the"),
-        ("experiments/README.md", "6.2 instead of {:.1f} s ([30]"),
+        ("docs/results.md", "6.2 instead of {:.1f} s (five seeds each). On rough"),
+        ("docs/results.md", "6.2 instead of {:.1f} s (five seeds each). With the"),
+        ("experiments/README.md", "6.2 instead of {:.1f} s on a G1 ([30]"),
         ("experiments/25_humanoid/README.md", "6.2 instead of {:.1f} s (five"),
         ("experiments/25_humanoid/README.md", "s and PPO after {:.2f}. With"),
         ("experiments/25_humanoid/seconds.md", "12 rows after {:.2f} ±"),
-        (ROW_COST, "and {:.2f} with PPO (three)"),
+        (ROW_COST, "and {:.2f} with PPO (five fresh seeds each"),
+    ],
+    "g1 PPO seconds to a walk, MuJoCo Warp": [
+        ("README.md", "| 4.4 | 6.2 | 15.0 | two of five | {:.1f} |"),
+        (ROW_COST, "PPO's five walk, after {:.1f} s"),
     ],
     "g1 fast PPO's steps to its level, by best's, MuJoCo Warp": [
         ("experiments/25_humanoid/seconds.md", "for {:.1f} times the steps. These"),
         (ROW_COST, "for {:.1f} times the steps. Computed"),
+    ],
+    "go2 seconds to its level, rough ground": [
+        ("README.md", "Go2 on rough ground, our kernel | 0.3 | {:.1f} |"),
+        ("docs/results.md", "a Go2 is at its level later, after {:.1f} s"),
+        ("docs/speed.md", "at its level after 8.5 instead of {:.1f} s"),
+        ("experiments/README.md", "after 8.5 instead of {:.1f} s. At"),
+        ("experiments/28_rough/README.md", "first at the level after {:.1f} s of training"),
+        ("experiments/28_rough/time.md", "of tiles and {:.1f} to the level"),
+        (ROW_COST, "a Go2 is at its level after {:.1f} s with `best`"),
+    ],
+    "go2 PPO seconds to its level, rough ground": [
+        ("README.md", "Go2 on rough ground, our kernel | 0.3 | 17.8 | {:.1f} |"),
+        ("docs/results.md", "PPO with 4096 robots after {:.1f} (five seeds each)"),
+        ("docs/speed.md", "on rough ground is at its level after {:.1f} instead of"),
+        ("experiments/README.md", "sooner with PPO, after {:.1f} instead of"),
+        ("experiments/28_rough/README.md", "4096 robots after {:.1f}, for"),
+        ("experiments/28_rough/time.md", "4096 robots 6.7, {:.1f} and 33.6"),
+        (ROW_COST, "with `best` and {:.1f} with PPO: 0.48"),
+    ],
+    "go2 fast PPO's steps to its level, by best's, rough ground": [
+        ("experiments/28_rough/README.md", "for {:.1f} times the steps (3.5 to"),
+        ("experiments/28_rough/ppo.md", "and {:.1f} times to the level"),
+        (ROW_COST, "for {:.1f} times the steps (3.5 to"),
     ],
     "go2 crosses": [
         ("README.md", "crosses {:.0%} of all tiles of stairs"),
@@ -352,28 +380,36 @@ def seconds():
     table = importlib.import_module("experiments.30_row_cost.table")
     every = table.of_rows(table.read())
     walks = {"a walk": "walks"}
-    for (batch, commit), place, robot, engine, goals in (
-        (ALONE, "go1.kernel", "go1", "", {"38": "level"} | walks),
-        (ALONE, "go1.warp", "go1", ", MuJoCo Warp", {"38": "level"} | walks),
-        (NEWER, "go1.exact", "go1", ", exact task", {"38": "level"}),
-        (NEWER, "anymal_c.exact", "anymal_c", ", exact task", {"24": "level"}),
-        (NEWER, "g1.kernel", "g1", "", {"its level": "level"} | walks),
-        (SECOND, "g1.warp", "g1", ", MuJoCo Warp", {"its level": "level"}),
+    for place, robot, engine, goals in (
+        ("go1.kernel", "go1", "", {"38": "level"} | walks),
+        ("go1.warp", "go1", ", MuJoCo Warp", {"38": "level"} | walks),
+        ("go1.exact", "go1", ", exact task", {"38": "level"}),
+        ("anymal_c.exact", "anymal_c", ", exact task", {"24": "level"}),
+        ("g1.kernel", "g1", "", {"its level": "level"} | walks),
+        ("g1.warp", "g1", ", MuJoCo Warp", {"its level": "level"}),
+        ("go2.rough", "go2", ", rough ground", {"its level": "level"}),
     ):
-        best, ppos = table.settings([run for run in every if run.batch == batch], place)
+        best, ppos = table.settings(every, place)
         ppo = table.fastest(ppos)
         for level, of in goals.items():
             (_, few, mine), (_, steps, its) = (getattr(run, of).mean(0) for run in (best, ppo))
-            where = *batch.split(", ")[:2], commit, SECONDS
-            yield f"{robot} seconds to {level}{engine}", f"{mine:.6g}", "s", *where
-            yield f"{robot} PPO seconds to {level}{engine}", f"{its:.6g}", "s", *where
+            yield f"{robot} seconds to {level}{engine}", f"{mine:.6g}", "s", *where(best)
+            yield f"{robot} PPO seconds to {level}{engine}", f"{its:.6g}", "s", *where(ppo)
             name = f"{robot} fast PPO's steps to {level}, by best's{engine}"
-            yield name, f"{steps / few:.6g}", "", *where
-    batch, commit = SECOND
-    by_name = {(run.batch, run.place, run.method): run for run in every}
-    mine = by_name[batch, "g1.kernel", "best-kl4e3"].level[:, 2].mean()
-    name = "g1 seconds to its level, with settings for seconds"
-    yield name, f"{mine:.6g}", "s", *batch.split(", ")[:2], commit, SECONDS
+            yield name, f"{steps / few:.6g}", "", *where(ppo)
+        if place == "g1.warp":
+            name = "g1 PPO seconds to a walk, MuJoCo Warp"
+            yield name, f"{ppo.walks[:, 2].mean():.6g}", "s", *where(ppo)
+        if place == "g1.kernel":
+            quick = table.fastest(table.variants(every, best))
+            name = "g1 seconds to its level, with settings for seconds"
+            yield name, f"{quick.level[:, 2].mean():.6g}", "s", *where(quick)
+
+
+def where(run) -> tuple[str, str, str, str]:
+    """Hardware, date, commit and file of a run of `SECONDS`."""
+    card, date = run.batch.split(", ")[:2]
+    return card, date, COMMITS[run.batch], SECONDS
 
 
 def rough():

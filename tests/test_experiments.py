@@ -162,7 +162,7 @@ def test_the_pages_of_seconds_have_the_tables_of_their_runs(monkeypatch, capsys)
     ):
         page = (EXPERIMENTS / ROW_COST / f"{name}.md").read_text().splitlines()
         rows = [line for line in printed.splitlines() if line.startswith(places)]
-        assert len(rows) >= (61 if name == "runs" else 7)
+        assert len(rows) >= (66 if name == "runs" else 8)
         assert rows == [line for line in page if line.startswith(places)]
 
 
@@ -261,7 +261,7 @@ def test_what_the_pages_of_seconds_say_in_words_is_so():
     assert "All five ANYmal-C walk with `best`, two of five Go1" in pages["README"]
 
 
-def test_what_the_pages_of_seconds_say_of_a_g1_on_a_second_host_is_so(humanoid):
+def test_what_the_pages_of_seconds_say_of_a_g1_on_other_hosts_is_so(humanoid):
     """`best` for seconds beside PPO of the first host, MuJoCo Warp's own step, and who walks by the end."""
     table, folder = script(f"{ROW_COST}/table"), EXPERIMENTS / ROW_COST
     found = table.runs()
@@ -269,12 +269,18 @@ def test_what_the_pages_of_seconds_say_of_a_g1_on_a_second_host_is_so(humanoid):
         name: " ".join((folder / f"{name}.md").read_text().split())
         for name in ("README", "runs", "settings", "computed")
     }
-    first, second = "H200, 2026-11-28", "H200, 2026-11-28, second host"
+    first, second, third = (
+        f"H200, 2026-11-28{host}" for host in ("", ", second host", ", third host")
+    )
     run = {(one.place, one.batch, one.method): one for one in found}
     best, ppo = (run["g1.kernel", first, method] for method in ("best", "ppo1024x12"))
     quick = run["g1.kernel", second, "best-kl4e3"]
-    dear = [run["g1.warp", second, method] for method in ("best", "ppo1024x12")]
-    assert [len(one.level) for one in (quick, *dear)] == [10, 5, 3]
+    dear = [
+        run["g1.warp", host, method] for host, method in ((second, "best"), (third, "ppo1024x12"))
+    ]
+    three = run["g1.warp", second, "ppo1024x12"]
+    assert [len(one.level) for one in (quick, *dear, three)] == [10, 5, 5, 3]
+    assert table.settings(found, "g1.warp") == (dear[0], [dear[1]])
     seconds, steps = ([one.level[:, k] for one in (best, quick, ppo, *dear)] for k in (2, 1))
     text = "takes {:.2f} s longer to the level ({:.2f} to {:.2f}), 1.01 times the seconds"
     assert text.format(*stats.difference(seconds[2], seconds[1])) in pages["runs"]
@@ -285,18 +291,29 @@ def test_what_the_pages_of_seconds_say_of_a_g1_on_a_second_host_is_so(humanoid):
     text = "`best` takes {:.2f} s longer ({:.2f} to {:.2f}), for {:.2f} instead of {:.2f} M steps"
     means = [steps[k].mean() / 1e6 for k in (0, 1)]
     assert text.format(*stats.difference(seconds[0], seconds[1]), *means) in pages["runs"]
-    text = "PPO takes {:.1f} s longer to the level than `best` ({:.1f} to {:.1f}), for"
-    text += " {:.1f} times the steps ({:.1f} to {:.1f})"
-    gain, more = stats.difference(seconds[4], seconds[3]), stats.ratio(steps[4], steps[3])
-    assert text.format(*gain, *more) in pages["runs"]
+    for words, one in (
+        ("three seeds take {:.1f} s longer to the level than `best`", three),
+        ("takes {:.1f} s longer to the level than `best` on the second host", dear[1]),
+    ):
+        text = words + " ({:.1f} to {:.1f}), for {:.1f} times the steps ({:.1f} to {:.1f})"
+        gain = stats.difference(one.level[:, 2], seconds[3])
+        more = stats.ratio(one.level[:, 1], steps[3])
+        assert text.format(*gain, *more) in pages["runs"]
+    text = "{:.2f} and {:.2f} s, a difference of {:.1f} s ({:.1f} to {:.1f})"
+    both = seconds[4], three.level[:, 2]
+    told = text.format(*(some.mean() for some in both), *stats.difference(*both))
+    assert told in pages["runs"]
     longer = stats.ratio(seconds[4], seconds[3])
     assert "{:.1f} times as long ({:.1f} to {:.1f})".format(*longer) in pages["README"]
     # computed from the runs with our kernel, and measured
-    cost, power = table.cost(found, dear[0]), table.power_of("g1.warp")
-    later = [table.later(one, table.cost(found, one), cost, power) for one in (best, ppo)]
+    costs, power = [table.cost(found, one) for one in dear], table.power_of("g1.warp")
+    later = [
+        table.later(one, table.cost(found, one), ms, power)
+        for one, ms in zip((best, ppo), costs, strict=True)
+    ]
     for label, computed, measured in (
-        ("`best`", later[0], seconds[3]),
-        ("PPO, 1024 robots, 12 rows", later[1], seconds[4]),
+        (f"`best`, {costs[0]:.2f} ms a row, second host", later[0], seconds[3]),
+        (f"PPO, 1024 robots, 12 rows, {costs[1]:.2f} ms, third host", later[1], seconds[4]),
     ):
         line = f"| {label} | {table.interval(computed)} | {table.interval(measured)} |"
         assert line in pages["computed"]
@@ -316,11 +333,12 @@ def test_what_the_pages_of_seconds_say_of_a_g1_on_a_second_host_is_so(humanoid):
         f" With a KL of 0.04 and 3 epochs it is {rows[2]:.0f} rows, and {rest[2]:.1f} ms of 135."
     )
     text += " With MuJoCo Warp's step it is {:.0f} and {:.0f} rows, and".format(*rows[3:])
-    text += " {:.1f} ms of 128 and {:.1f} of 233.".format(*rest[3:])
+    text += " {:.1f} ms of 128 and {:.1f} of 236.".format(*rest[3:])
     assert text in pages["computed"]
     # who walks by iteration 160, and who still falls there
     known = [one.walks[:, 2] for one in (best, quick, *dear)]
-    assert [int(np.isfinite(one).sum()) for one in known] == [10, 8, 2, 3]
+    assert [int(np.isfinite(one).sum()) for one in known] == [10, 8, 2, 5]
+    assert f"PPO's five walk, after {known[3].mean():.1f} s" in pages["README"]
     falls, errors, last, parts = {}, {}, {}, {}
     for row in table.read():
         key = row["batch"], row["name"]
@@ -343,12 +361,14 @@ def test_what_the_pages_of_seconds_say_of_a_g1_on_a_second_host_is_so(humanoid):
     less = [100 - 100 * parts[here][name] / parts[there][name] for name in ("tail_ms", "fit_ms")]
     assert "take {:.1f} and {:.0f} % less".format(*less) in pages["computed"]
     more = []
-    for name in ("best", "ppo1024x12"):
-        ms = last[second, f"g1.warp.{name}"]
+    for host, name in ((second, "best"), (second, "ppo1024x12"), (third, "ppo1024x12")):
+        ms = last[host, f"g1.warp.{name}"]
         usual = np.mean([ms[seed] for seed in ms if seed not in ("1100", "1101")])
-        more += sorted(100 * (ms[seed] / usual - 1) for seed in ("1100", "1101"))
+        more += [100 * (ms[seed] / usual - 1) for seed in ("1100", "1101")]
     text = "with `best` by {:.0f} and {:.0f} %, with PPO by {:.0f} and {:.0f} %"
-    assert text.format(*more) in pages["runs"]
+    assert text.format(*sorted(more[:2]), *sorted(more[2:4])) in pages["runs"]
+    text = "Seeds 1100 and 1101 take {:.0f} and {:.0f} % longer an iteration"
+    assert text.format(*more[4:]) in pages["runs"]
     falls = {key: share for key, share in falls.items() if ".best" in key[0] and "g1" in key[0]}
     assert falls == {
         ("g1.kernel.best-kl4e3", "1100"): 0.04,
@@ -385,10 +405,139 @@ def test_what_the_pages_of_seconds_say_of_a_g1_on_a_second_host_is_so(humanoid):
     for (one, of), (other, among), p in (
         ((2, 5), (10, 10), "p 0.022 (Fisher"),
         ((2 + 9, 15), (10 + 10 + 8, 30), "11 of 15 and 28 of 30, p 0.16"),
-        ((8, 10), (10, 10), "beside ten of ten p 0.47"),
+        ((8 + 6, 20), (10, 10), "beside ten of ten of `best` p 0.074"),
+        ((8 + 6, 20), (10 + 10 + 8, 30), "beside its 28 of 30 p 0.047"),
     ):
         value = fisher([[one, of - one], [other, among - other]]).pvalue
         assert p in pages["runs"] and shows(re.findall(r"p (0\.\d+)", p)[0], value)
+    # `best` for seconds once more
+    again = run["g1.kernel", third, "best-kl4e3"]
+    there = again.level[np.isfinite(again.level[:, 2]), 2]
+    assert (len(there), int(np.isfinite(again.walks[:, 2]).sum())) == (9, 6)
+    for name in ("README", "runs", "settings"):
+        assert f"after {there.mean():.2f} s" in pages[name]
+    rows = [row for row in table.read() if (row["batch"], row["name"]) == (third, here[1])]
+    ends = {row["seed"]: row for row in rows if row["iteration"] == "160"}
+    (late,) = np.flatnonzero(np.isnan(again.level[:, 2]))
+    late = [*ends.values()][late]
+    assert (
+        f"seed {late['seed']} still turns with an error of {float(late['yaw_error']):.2f}"
+        in pages["runs"]
+    )
+    every = [*seconds[1], *there, float(late["seconds"])]
+    text = "19 are, after {:.2f} s, and with the last one counted up to its end it is {}: PPO takes"
+    text = text.format(np.mean(every[:-1]), table.interval(every))
+    text += " {:.2f} times as long ({:.2f} to {:.2f})".format(*stats.ratio(seconds[2], every))
+    assert text in pages["runs"]
+    falling = {seed: float(row["fall_rate"]) for seed, row in ends.items()}
+    falling = {seed: share for seed, share in falling.items() if share > 0.01}
+    assert falling == {"1102": 0.02, "1104": 0.026, "1106": 0.022}
+    assert "three fall in 2.0 to 2.6 % of the episodes (1102, 1104, 1106)" in pages["runs"]
+
+
+def test_what_the_pages_of_seconds_say_of_rough_ground_is_so():
+    """`best` beside PPO on another host and day: to shares of tiles and to the level, and at the end."""
+    table, rough = script(f"{ROW_COST}/table"), script("28_rough/table")
+    found = table.runs()
+    best, (ppo,) = table.settings(found, "go2.rough")
+    both = best, ppo
+    runs, shares, steps, ends = ([[], []] for _ in range(4))
+    for k, one in enumerate(both):
+        seeds = {}
+        for row in table.read():
+            if (row["batch"], row["name"]) == (one.batch, f"go2.rough.{one.method}"):
+                seeds.setdefault(row["seed"], []).append(row)
+        runs[k] = [*seeds.values()]
+        for rows in runs[k]:
+            clock, count, crossed = (
+                np.array([float(row[name]) for row in rows])
+                for name in ("seconds", "sim_steps", "crossed")
+            )
+            shares[k].append([rough.first(clock, crossed, share) for share in (0.7, 0.8)])
+            steps[k].append(rough.first(count, crossed, 0.8))
+            ends[k].append([crossed[-1], clock[-1], np.interp(23.1, clock, crossed)])
+    shares, ends = ([np.array(some) for some in pair] for pair in (shares, ends))
+    level = [one.level[:, 2] for one in both]
+    sooner = stats.difference(*level), stats.difference(*(some[:, 1] for some in shares))
+    more = stats.ratio(ppo.level[:, 1], best.level[:, 1]), stats.ratio(*steps[::-1])
+    points = [
+        100 * np.array(stats.difference(ends[1][:, k], ends[0][:, k]))  # at the end; after 23.1 s
+        for k in (0, 2)
+    ]
+    spans = [f"{some.mean():.2f} ({some.min():.2f} to {some.max():.2f})" for some in level]
+    last = [f"{100 * some[:, 0].mean():.0f} %, {some[:, 1].mean():.1f}" for some in ends]
+    good = [[rough.at_level(rough.shares(row)) for row in rows] for rows in runs[1]]
+    assert sum(some[-1] for some in good) == 4  # at it at their end, of which just now:
+    assert sum(some[-1] and not some[-2] for some in good) == 2
+    counts = [sum(some) for some in good]
+    ms = [np.mean([1e3 * x[1] / int(runs[k][0][-1]["iteration"]) for x in ends[k]]) for k in (0, 1)]
+    updates = 3 * float(runs[0][0][0]["ppo_ms"]), float(runs[1][0][0]["ppo_ms"])
+    rows = [(one.level[:, 1] / one.robots).mean() for one in both]
+    rest = [
+        np.mean((1e3 * one.level[:, 2] - one.level[:, 1] / one.robots * one.row) / one.level[:, 0])
+        for one in both
+    ]
+    eighty = [some[:, 1].mean() for some in shares]
+    means, whole = [some.mean() for some in level], [some[:, 1].mean() for some in ends]
+
+    def around(one, digits=1):
+        return "{:.{d}f} ({:.{d}f} to {:.{d}f})".format(*one, d=digits)
+
+    def ends_of(one):
+        return f"{one.low:.1f} to {one.high:.1f}"
+
+    said = {
+        "30_row_cost/README.md": [
+            f"{around(stats.ratio(*level[::-1]), 2).replace(' (', ' times as long (')}, for"
+            f" {around(more[0]).replace(' (', ' times the steps (')}",
+            f"80 % of all tiles after {eighty[0]:.1f} and {eighty[1]:.1f} s",
+            f"is shown: {100 * ends[0][:, 2].mean():.0f} and {100 * ends[1][:, 2].mean():.0f} %",
+        ],
+        "30_row_cost/runs.md": [
+            *(
+                f"| {label} | {table.interval(shares[0][:, k])} | {table.interval(shares[1][:, k])} |"
+                for k, label in enumerate(("70 % of all tiles, s", "80 %"))
+            ),
+            f"| first at the level, s (first to last seed) | {spans[0]} | {spans[1]} |",
+            f"| at the end: of all tiles, s | {last[0]} | {last[1]} |",
+            f"at the level by {sooner[0].value:.1f} s ({ends_of(sooner[0])}) and at 80 % of tiles by"
+            f" {around(sooner[1])}, for {more[0].value:.1f} and {more[1].value:.1f} times the steps"
+            f" ({ends_of(more[0])}, {ends_of(more[1])})",
+            f"crosses {100 * ends[1][:, 2].mean():.0f} % of tiles; no difference is shown"
+            f" ({around(points[1]).replace(' (', ' points more, ')}",
+            f"all five do from {best.walks[:, 2].mean():.1f} s on, to {whole[0]:.1f} s",
+            f"in {min(counts)} to {max(counts)} of {len(good[0])}",
+            "one of 1024 {:.2f} and {:.2f} (computed)".format(
+                *(table.cost(found, x) for x in both)
+            ),
+            f"An iteration takes {ms[0]:.1f} and {ms[1]:.1f} ms",
+        ],
+        "30_row_cost/computed.md": [
+            f"{rows[0]:.0f} rows of 2048 robots with `best` and {rows[1]:.0f} of 4096 with PPO. All else"
+            f" takes {rest[0]:.1f} ms an iteration of 460, and {rest[1]:.1f} of 380. Of `best` three"
+            f" updates take {updates[0]:.0f} of it."
+        ],
+        "28_rough/README.md": [
+            f"80 % of all tiles take {eighty[0]:.1f} and {eighty[1]:.1f} s",
+            f"for {around(more[0]).replace(' (', ' times the steps (')}",
+        ],
+        "28_rough/time.md": [
+            f"{eighty[0]:.1f} s for 80 % of tiles and {means[0]:.1f} to the level, {whole[0]:.1f} for the"
+            f" whole run; with PPO and 4096 robots {eighty[1]:.1f}, {means[1]:.1f} and {whole[1]:.1f}.",
+            f"takes {ms[0]:.1f} ms, {updates[0]:.0f} of them three updates; one of PPO {ms[1]:.1f},"
+            f" {updates[1]:.1f} of them",
+        ],
+        "28_rough/ppo.md": [
+            f"need {more[1].value:.1f} times the steps to 80 % of tiles ({ends_of(more[1])}) and"
+            f" {around(more[0]).replace(' (', ' times to the level (')}, and end at"
+            f" {100 * ends[1][:, 0].mean():.0f} % of tiles,"
+            f" {around(points[0]).replace(' (', ' points above these `best` after 10 M (')}",
+        ],
+    }
+    for name, texts in said.items():
+        page = " ".join((EXPERIMENTS / name).read_text().split())
+        for text in texts:
+            assert text in page, (name, text)
 
 
 def test_marks_of_rows_that_cost_nearly_the_same_stand_apart():
@@ -2572,6 +2721,13 @@ def test_seconds_where_a_row_costs_more_and_where_two_runs_break_even():
     found = [best, fast, few]
     assert table.settings(found, "go1.kernel") == (best, [fast, few])
     assert table.settings([best], "go1.kernel") is None
+    # of a setting of PPO the host with most seeds, of the day of `best` if one has run then
+    more = np.concatenate([fast.level, fast.level])
+    other = fast._replace(batch="G, day, second host", level=more, walks=more)
+    later = fast._replace(batch="G, later")
+    assert table.beside([best, fast, few, other], best) == [other, few]
+    assert table.beside([best, fast, later], best) == [fast]
+    assert table.beside([best, later, few._replace(batch="H, day")], best) == [later]
     # settings for seconds: those on tuning seeds only until others have run on fresh ones, both by name
     tuned, chosen = run("tune-r1", 1024, 100, 1.5), run("best-r1", 1024, 100, 1.6)
     assert table.variants([*found, tuned], best) == [best, tuned]

@@ -233,26 +233,40 @@ def at_cost(found: list[Run], run: Run, ms: float) -> Run:
 
 def settings(found: list[Run], place: str) -> tuple[Run, list[Run]] | None:
     """`(best, PPO's)` of the last day on which `best` has five seeds, else of that with most, and of that
-    day's batch with most settings of PPO; of runs all of whose seeds get to the level. None where one of the
+    day's host with most settings of PPO; of runs all of whose seeds get to the level. None where one of the
     two has not been run."""
     mine = [run for run in found if run.place == place and np.isfinite(run.level).all()]
-    both = [
-        (run, [ppo for ppo in mine if ppo.batch == run.batch and ppo.method.startswith("ppo")])
-        for run in mine
-        if run.method == "best"
-    ]
+    both = [(run, beside(mine, run)) for run in mine if run.method == "best"]
     both = [pair for pair in both if pair[1]]
 
     def worth(pair):
-        return min(len(pair[0].level), OFTEN), pair[0].batch.split(", ")[1], len(pair[1])
+        best, ppos = pair
+        own = [ppo for ppo in ppos if ppo.batch == best.batch]
+        return min(len(best.level), OFTEN), day(best)[1], len(own)
 
     return max(both, key=worth, default=None)
+
+
+def beside(some: list[Run], best: Run) -> list[Run]:
+    """The settings of PPO on the kind of card and the day of `best`, else on that kind of card: of each the
+    host with most seeds, that of `best` where no other has more."""
+    ppos = [run for run in some if run.method.startswith("ppo") and day(run)[0] == day(best)[0]]
+    ppos = [run for run in ppos if day(run) == day(best)] or ppos
+    found = {}
+    for run in sorted(ppos, key=lambda run: (len(run.level), run.batch == best.batch)):
+        found[run.method] = run
+    return [*found.values()]
+
+
+def day(run: Run) -> list[str]:
+    """The kind of card and the date of its batch; what else is there says which host."""
+    return run.batch.split(", ")[:2]
 
 
 def variants(found: list[Run], best: Run) -> list[Run]:
     """`best`, and its settings for seconds at the same place, on the same day and kind of card, with as many
     seeds as say something; those that were tuned, `tune-`, only where none has run on fresh seeds."""
-    here = [run for run in found if run.place == best.place and run.batch.startswith(best.batch)]
+    here = [run for run in found if run.place == best.place and day(run) == day(best)]
     some = [run for run in here if len(run.level) >= MANY and np.isfinite(run.level).all()]
     fresh = [run for run in some if run.method.startswith("best") and run.method != best.method]
     return [best, *(fresh or [run for run in some if run.method.startswith(TUNING)])]
@@ -342,8 +356,10 @@ def compared(found: list[Run]) -> str:
         cells += ["-" if quick is best else f"{interval(quick.level[:, 2])} ({named})"]
         cells += [f"{interval(times[0])} ({fast.method})"]
         cells += [ratio(*times), f"{ratio(*steps)} ({few.method})"]
-        equal = even(best, ppos, ms) + for_seconds(found, quick, ppos) * (quick is not best)
-        lines.append([*cells, equal, even(to_walk(best), [*map(to_walk, ppos)], ms)])
+        here = [at_cost(found, ppo, ms) for ppo in ppos]
+        equal = even(best, here, ms) + for_seconds(found, quick, ppos) * (quick is not best)
+        walking = [at_cost(found, to_walk(ppo), ms) for ppo in ppos]
+        lines.append([*cells, equal, even(to_walk(best), walking, ms)])
     return paper.markdown(head, lines)
 
 
