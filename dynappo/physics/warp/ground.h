@@ -59,37 +59,21 @@ auto nearest = [&](const float* ground, vec3 p, float radius, vec3& normal) {
     const float square = dot(q, q);
     if (square < best) best = square, way = q, on_edge_yet = true;
   };
-  auto look_at = [&](int i, int j) {
-    const float *h = heights + i * Y + j, z00 = h[0], z01 = h[1], z10 = h[Y], z11 = h[Y + 1];
-    const vec3 v00(i * cell - b.x, j * cell - b.y, z00 - p[2]);  // seen from p
-    const vec3 v11 = v00 + vec3(cell, cell, z11 - z00);
-    const vec3 right(cell, 0.0f, z10 - z00), left(0.0f, cell, z01 - z00);
-    on_plane(vec3(z00 - z10, z10 - z11, cell), v00, false);
-    on_plane(vec3(z01 - z11, z00 - z01, cell), v00, true);
-    on_edge(v00, v11 - v00), on_edge(v00, right), on_edge(v00, left);
-    on_edge(v00 + right, vec3(0.0f, cell, z11 - z10)), on_edge(v00 + left, vec3(cell, 0.0f, z11 - z01));
-  };
-  // whether a cell has ground at a height that is nearer than what was found
-  auto can_be = [&](int i, int j) {
-    const float *h = heights + i * Y + j, z00 = h[0], z01 = h[1], z10 = h[Y], z11 = h[Y + 1];
-    const float over = p[2] - wp::max(wp::max(z00, z01), wp::max(z10, z11));
-    const float under = wp::min(wp::min(z00, z01), wp::min(z10, z11)) - p[2];
-    const float away = wp::max(wp::max(over, under), 0.0f);
-    return away * away < best;
-  };
-  look_at(b.i, b.j);
-  // A thread looks for its next cell before any looks at one: so a warp looks at as many cells as one of its
-  // threads must, and not at each that any of them must.
-  const int wide = j1 - j0 + 1, count = (i1 - i0 + 1) * wide;
-  int k = -1;
   #pragma unroll 1
-  while (true) {
-    int i, j;
-    do ++k, i = i0 + k / wide, j = j0 + k % wide;
-    while (k < count && ((i == b.i && j == b.j) || !can_be(i, j)));
-    if (k >= count) break;
-    look_at(i, j);
-  }
+  for (int i = i0; i <= i1; ++i)
+    #pragma unroll 1
+    for (int j = j0; j <= j1; ++j) {
+      const float *h = heights + i * Y + j, z00 = h[0], z01 = h[1], z10 = h[Y], z11 = h[Y + 1];
+      const vec3 v00(i * cell - b.x, j * cell - b.y, z00 - p[2]);  // seen from p
+      const vec3 v11 = v00 + vec3(cell, cell, z11 - z00);
+      const vec3 right(cell, 0.0f, z10 - z00), left(0.0f, cell, z01 - z00);
+      on_plane(vec3(z00 - z10, z10 - z11, cell), v00, false);
+      on_plane(vec3(z01 - z11, z00 - z01, cell), v00, true);
+      on_edge(v00, v11 - v00);
+      if (j == j0) on_edge(v00, right);  // else of the cell before
+      if (i == i0) on_edge(v00, left);
+      on_edge(v00 + right, vec3(0.0f, cell, z11 - z10)), on_edge(v00 + left, vec3(cell, 0.0f, z11 - z01));
+    }
   const float distance = sqrtf(best);
   const vec3 n = wp::normalize(plane);
   normal = on_edge_yet ? way * (-sign / wp::max(distance, 1e-9f)) : n;
