@@ -4105,3 +4105,20 @@ def test_a_kernel_is_told_by_its_line_and_operation(tmp_path):
     took, launches = kernels.kernels(next(tmp_path.rglob("*.xplane.pb")))
     ran = [name for name in took if said.get(kernels.plain(name), "").endswith("dot_general")]
     assert ran and all(launches[name] == 3 and took[name] > 0 for name in ran)
+
+
+def test_what_a_rough_row_costs_is_as_the_page_says():
+    kernels = importlib.import_module("experiments.28_rough.kernels")
+    folder = EXPERIMENTS / "28_rough"
+    page = (folder / "time.md").read_text()
+    assert kernels.table(paper.rows(folder / "results/kernels.csv")) in page
+    words = " ".join(page.split())
+    for name in ("bench", "bench_blind"):
+        measured = json.loads((folder / f"results/{name}.json").read_text())["configs"]
+        rough, flat = (measured[config]["ms"] for config in ("go2:rough", "go2"))
+        row = rough["physics"], flat["physics"]
+        assert f"{row[0] / row[1]:.2f} times" in words
+        assert "({:.3f} instead of {:.3f} ms)".format(*row) in words
+    with_scan = json.loads((folder / "results/bench.json").read_text())["configs"]
+    tails = (with_scan[config]["ms"]["tail"] for config in ("go2:rough", "go2"))
+    assert "a row of the tail takes {:.3f} instead of {:.3f} ms".format(*tails) in words

@@ -1,6 +1,7 @@
 """The kernels of an iteration of physics alone, and of a tail alone, by the time that they take on a GPU.
 
     python experiments/28_rough/kernels.py OUT.csv go2:rough go2 [--robots 2048] [--set FIELD=VALUE ...]
+    python experiments/28_rough/kernels.py results/kernels.csv    # the table of time.md, of what was measured
 
 Each config runs `ITERATIONS` iterations of the program that trains, under JAX's profiler: once with all rows
 real and no fit (`physics`), once with none real (`tail`). A line of OUT.csv is a kernel: config, what ran,
@@ -24,12 +25,20 @@ from dynappo.program import build, devices
 from experiments import paper
 
 ITERATIONS = 10
+PARTS = {  # of a simulated row: what its kernels compute, the first that fits
+    "physics in one kernel": r"control_step",
+    "the ground looked up": r"(scan|height_map|surroundings|ground)\.py",
+    "rows written": r"scatter$",
+    "policy and value": r"(fast|networks|algorithm)\.py",
+    "robots that begin, with their noise": r"env\.py:\d+ select_n",
+    "rewards, observations and the rest": r"",
+}
 
 
 def main():
     parser = paper.parser(__doc__)
     parser.add_argument("out", type=Path)
-    parser.add_argument("configs", nargs="+", metavar="ROBOT:VARIANT")
+    parser.add_argument("configs", nargs="*", metavar="ROBOT:VARIANT")
     parser.add_argument("--robots", type=int, default=2048)
     parser.add_argument("--most", type=int, default=25, help="kernels to print of each")
     parser.add_argument("--hlo", type=Path, help="folder for what XLA compiled, as text")
@@ -37,6 +46,9 @@ def main():
         "--set", nargs="+", default=[], metavar="FIELD=VALUE", help="of all configs"
     )
     args = parser.parse_args()
+    if not args.configs:
+        print(table(paper.rows(args.out)))
+        return
     devices.own_process()
     rows = []
     for name in args.configs:
@@ -55,6 +67,23 @@ def main():
         for row in of_run[: args.most]:
             took, launches = row["us_a_row"], row["launches_a_row"]
             print(f"  {took:8.2f} us {launches:6.2f}  {row['kernel']}  {row['computes']}")
+
+
+def table(rows: list[dict]) -> str:
+    """Of each config, microseconds of a simulated row in kernels that a row of the tail does not have."""
+    configs = list(dict.fromkeys(row["config"] for row in rows))
+    took = {config: Counter() for config in configs}
+    for config in configs:
+        mine = [row for row in rows if row["config"] == config]
+        tail = {row["kernel"] for row in mine if row["ran"] == "tail"}
+        for row in mine:
+            if row["kernel"] not in tail:
+                said = f"{row['kernel']} {row['computes']}"
+                part = next(part for part, of in PARTS.items() if re.search(of, said))
+                took[config][part] += row["us_a_row"]
+    lines = [[part, *(f"{took[config][part]:.1f}" for config in configs)] for part in PARTS]
+    lines.append(["all", *(f"{took[config].total():.1f}" for config in configs)])
+    return paper.markdown(["part", *configs], lines)
 
 
 def of_config(name: str, config, hlo: Path | None = None) -> list[dict]:
