@@ -46,6 +46,7 @@ EVERYTHING = {
     "task.tiles.columns": 6,
     "task.resample_steps": 5,
     "task.standing": 0.3,
+    "task.slow_commands": 0.4,
     "task.history": 3,
     "task.random_clock": True,
     "task.reset.velocity": 0.5,
@@ -124,12 +125,13 @@ def test_a_run_has_as_many_draws_as_its_rows_robots_and_rounds_need(uses):
         files = [use.where.split(" > ")[-1].split(":")[0] for use in uses[name] if use.how == DRAWN]
         return dict(collections.Counter(files))
 
-    # a body; a tile, a pose and the two draws of a clock; command; noise, also of the scan
-    start = dict.fromkeys(("randomize.py", "commands.py", "view.py", "surroundings.py"), 1)
-    start = collections.Counter(start | {"env.py": 4})
+    # a body; a tile, a pose and the two draws of a clock; command, and whether it is slow; noise, also of
+    # the scan
+    start = dict.fromkeys(("randomize.py", "view.py", "surroundings.py"), 1)
+    start = collections.Counter(start | {"env.py": 4, "commands.py": 2})
     # a step's command, push, noise; a reset's tile and pose, command, noise
-    row = dict.fromkeys(("commands.py", "view.py", "surroundings.py"), 2)
-    row = collections.Counter(row | {"env.py": 2, "pushes.py": 1})
+    row = dict.fromkeys(("view.py", "surroundings.py"), 2)
+    row = collections.Counter(row | {"env.py": 2, "pushes.py": 1, "commands.py": 4})
     assert draws("init") == times(ROBOTS, start) | {"networks.py": 3}  # actor, critic, model
     assert draws("evaluate") == times(ROBOTS, start + times(STEPS, row))
     made = ROUNDS * TAIL
@@ -159,7 +161,9 @@ def test_a_run_with_a_memory_uses_no_key_twice():
     actions = [where for where in drawn if where.split(" > ")[-1].startswith("algorithm.py")]
     assert len(actions) == ITERATIONS * ROBOTS * (REAL + 2 * ROUNDS * TAIL)
     commands = [where for where in drawn if "memory.py" in where and "commands.py" in where]
-    assert len(commands) == ITERATIONS * ROUNDS * 2 * ROBOTS
+    assert (
+        len(commands) == ITERATIONS * ROUNDS * 2 * ROBOTS * 2
+    )  # a command, and whether it is slow
 
 
 def times(n, counts):

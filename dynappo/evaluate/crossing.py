@@ -90,7 +90,7 @@ def on_other_ground(config):
     steps = round(SECONDS / (config.physics.substeps * config.physics.timestep))
     task.terrain = "rough"
     task.update(episode_length=steps, carry_on=False, random_clock=False, resample_steps=0)
-    task.update(command_x=(SPEED, SPEED), command_y=(0.0, 0.0), standing=0.0)
+    task.update(command_x=(SPEED, SPEED), command_y=(0.0, 0.0), standing=0.0, slow_commands=None)
     if not task.heading:
         task.command_yaw = (0.0, 0.0)
     return config_lib.validate(config, robot_here=False)

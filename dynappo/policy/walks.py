@@ -72,6 +72,7 @@ MEASURED = {
     "heading": (False,),
     "resample_steps": (0,),
     "standing": (0.0,),
+    "slow_commands": (None,),
     "termination": ("parts",),
     "undesired": ("parts",),
     "max_tilt": (None,),

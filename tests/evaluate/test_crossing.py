@@ -132,6 +132,9 @@ def test_tries_are_on_other_tiles_in_every_row_told_to_walk_ahead():
     flat = crossing.on_other_ground(config_lib.validate(config_lib.load("configs/go1.py:best")))
     assert flat.task.terrain == "rough" and flat.task.scan == "none"
     assert flat.task.command_yaw == (0.0, 0.0)
+    slow = config_lib.load("configs/go1.py:deploy")
+    slow.task.slow_commands = 0.4
+    assert crossing.on_other_ground(config_lib.validate(slow)).task.slow_commands is None
 
 
 def test_the_command_prints_and_writes_them(monkeypatch, tmp_path, capsys):

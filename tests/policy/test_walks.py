@@ -211,6 +211,7 @@ def test_the_return_tells_where_it_was_measured(name):
         "fall_reward": -1.0,
         "max_tilt": 1.0,
         "standing": 0.1,
+        "slow_commands": 0.4,
     }.items():
         assert not walks.by_return(valid(name, **{field: value}))
     assert not walks.by_return(valid(name, weights={"energy": -1e-4}))
