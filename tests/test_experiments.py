@@ -2510,51 +2510,113 @@ def test_what_makes_a_robot_stand_where_it_should_walk_slowly_is_as_its_file_say
         assert shows(row[4], float(robot["tracking_error"]))
 
 
-SLOWER = {  # job -> its row on gait.md
-    "slow-h": "Go2, slow commands",
-    "slow-narrow-h": "Go2, slow commands, `tracking_std` 0.35",
-    "narrow-h": "Go2, `tracking_std` 0.35",
-    "stand5-h": "Go2, one command in 20 to stand",
-    "stand2-h": "Go2, one in 50",
-    "slow-narrow-g": "Go1, slow commands, `tracking_std` 0.35",
-    "slow-narrow-c": "ANYmal-C, slow commands, `tracking_std` 0.35",
-    "slow-narrow-d": "ANYmal-D, slow commands, `tracking_std` 0.35",
+DIRECTIONS = "ahead back left turning_left".split()
+SLOWER = {  # jobs of a robot's letter -> their row on gait.md
+    "slow40-{}": "two of five, 0.5",
+    "slow-{}": "the same, `slow`",
+    "slow40-s42-{}": "two of five, 0.42 (ANYmals: to 500)",
+    "slow-narrow-{}": "two of five, 0.35",
+    "slow25-{}": "one in four, 0.5 (to 400)",
+    "narrow-{}": "none, 0.35",
+    "stand5-{}": "none, 0.5, one in 20 to stand",
+    "stand2-{}": "none, 0.5, one in 50 to stand",
 }
 
 
-def test_five_seeds_that_hear_more_slow_commands_are_as_their_files_say():
+@functools.cache
+def slowest():
+    """`policy -> row` of slowest.csv."""
     with (DEPLOY / "slowest.csv").open(newline="") as file:
-        every = list(csv.DictReader(file))
-    jobs = packed("tuning")
+        return {row["policy"]: row for row in csv.DictReader(file)}
+
+
+def followed_by(name):
+    """The slowest commands that a policy of slowest.csv follows, in each direction."""
+    return [slowest()[name][direction] or "none" for direction in DIRECTIONS]
+
+
+def test_five_seeds_that_hear_more_slow_commands_are_as_their_files_say():
+    """The slowest that all follow, clearance, where runs ended; who moves standing; what seeds fell."""
     shown = {row[0]: row[1:] for row in tables_of("gait")[3][1:]}
-    assert set(shown) == set(SLOWER.values())
-    for name, label in SLOWER.items():
-        seeds = [row for row in every if row["policy"].rpartition(".")[0] == name]
-        assert len(seeds) == 5
-        row = shown[label]
-        for cell, column_name in zip(row, "ahead back left turning_left".split(), strict=False):
-            told = sorted(seed[column_name] or "none" for seed in seeds)
-            assert cell == " to ".join(dict.fromkeys([told[0], told[-1]])), (name, column_name)
-        assert shows(row[4], max(float(seed["standing"]) for seed in seeds))
-        heights = [float(seed["clearance"]) for seed in seeds]
-        assert shows(row[5], np.mean(heights), min(heights), max(heights))
-        job = jobs["slow", name]
-        assert len(job) == 5
-        for cell, name_of in ((row[6], "tracking_error"), (row[7], "return")):
-            assert shows(cell, column(job, name_of)[:, -1].mean())
-    text = (DEPLOY / "slow_chosen.txt").read_text()
+    assert [*shown] == [*SLOWER.values()]
+    still, jobs = [], packed("tuning")
+    for pattern, label in SLOWER.items():
+        for letter, cell in zip("ghcd", shown[label], strict=True):
+            name = pattern.format(letter)
+            seeds = [key for key in slowest() if key.rpartition(".")[0] == name]
+            assert len(seeds) == (5 if cell else 0), name
+            if not cell:
+                continue
+            assert cell.split("; ")[0] == max(max(followed_by(seed)) for seed in seeds), name
+            heights = [float(slowest()[seed]["clearance"]) for seed in seeds]
+            assert shows(cell.split("; ")[1], np.mean(heights), min(heights), max(heights)), name
+            end = 400 if "25" in name else 500 if "s42" in name and letter in "cd" else 700
+            job = jobs["slow40" if name.startswith(("slow40", "slow25")) else "slow", name]
+            assert len(job) == 5 and set(column(job, "iteration")[:, -1]) == {end}, name
+            if "stand" not in name and not name.startswith("narrow"):
+                still += [float(slowest()[seed]["standing"]) for seed in seeds]
     page = " ".join((DEPLOY / "gait.md").read_text().split())
-    chosen = "slow-narrow-g.4", "slow-h.1", "slow-narrow-c.4", "slow-narrow-d.1"
-    back = [re.search(rf"{re.escape(one)} fall_rate.* return ([\d.]+),", text)[1] for one in chosen]
+    *others, most = sorted(still)
+    told = f"of the {len(still)} robots with slow commands the joints of one Go2 (0.35) move at"
     assert (
-        "{}, {}, {} and {} on the benchmark's own task".format(*(f"{float(x):.1f}" for x in back))
+        f"{told} {most:.3f} rad/s" in page
+        and f"those of the others at {max(others):.3f} at most" in page
+    )
+    # seeds that choose.py played, and what narrower kernels are worth on an ANYmal-D
+    rows, benchmark = played(), (DEPLOY / "slow_chosen.txt").read_text()
+    falls = [total_falls(row) for name, row in rows.items() if re.match(r"slow40-\w\.", name)]
+    fell = [count for count in falls if count]
+    assert len(falls) == 16 and len(fell) == 12
+    assert f"played twelve fall, {min(fell):.0f} to {max(fell):.0f} times" in page
+    before = [row for name, row in rows.items() if "-bundled." in name]
+    assert len(before) == 5 and not sum(map(total_falls, before))
+    some = {
+        job: [(name, row["error"]) for name, row in rows.items() if name.startswith(f"{job}.")]
+        for job in ("slow-narrow-d", "slow40-d")
+    }
+    back = {
+        job: [
+            float(re.search(rf"^{re.escape(n)} .*? return ([\d.]+)", benchmark, re.M)[1])
+            for n, _ in of
+        ]
+        for job, of in some.items()
+    }
+    (narrow, wide), (less, more) = some.values(), back.values()
+    assert (len(narrow), len(wide)) == (3, 5)
+    assert (
+        "{:.3f} to {:.3f} m/s with 0.35 (three seeds), {:.3f} to {:.3f} with 0.5 (five".format(
+            *(f(error for _, error in of) for of in (narrow, wide) for f in (min, max))
+        )
         in page
     )
-    for kind, words in (("stress", "under the disturbances"), ("changes", "in 600 changes")):
-        falls = [re.search(rf"{re.escape(one)} .*{kind} (\d+)", text)[1] for one in chosen]
-        assert "{}, {}, {} and {}".format(*falls) + f" times {words}" in page or (
-            "{}, {}, {} and {} {}".format(*falls, words) in page
-        )
+    assert f"for {min(less)} to {max(less)} instead of {min(more)} to {max(more)} on" in page
+    # what it costs: of one seed each, and of what is bundled
+    chosen = "slow40-s42-g.2", "slow-h.1", "slow40-c.1", "slow40-d.0"
+    bundled = [f"{robot}_deploy" for robot in paper.ROBOTS]
+    first = [
+        re.search(rf"^{re.escape(one)} .*? return ([\d.]+)", benchmark, re.M)[1] for one in chosen
+    ]
+    assert "has {}, {}, {} and {} on the".format(*(f"{float(x):.1f}" for x in first)) in page
+    energy = [f"{float(slowest()[one]['cost_of_transport']):.2f}" for one in [*chosen, *bundled]]
+    told = "transport is {}, {}, {} and {}, of the bundled ones {}, {}, {} and {}."
+    assert told.format(*energy) in page
+    errors = [f"{rows[one]['error']:.3f}" for one in chosen]
+    assert "track to {}, {}, {} and {} m/s".format(*errors) in page
+
+
+def played():
+    """`policy -> numbers` of choose.txt, and of slow_chosen.txt, by choose.py."""
+    rows = {}
+    for file in ("choose.txt", "slow_chosen.txt"):
+        for line in (DEPLOY / file).read_text().splitlines():
+            name, text = line.split(maxsplit=1)
+            if " stress" in line:
+                rows[name] = {key: float(value) for key, value in map(str.split, text.split(", "))}
+    return rows
+
+
+def total_falls(row):
+    return sum(row[kind] for kind in script("22_deploy/choose").FALLS)
 
 
 def test_more_changes_of_command_did_what_the_page_says():
@@ -2577,18 +2639,24 @@ def test_more_changes_of_command_did_what_the_page_says():
     assert not sum(falls["changes", "c"] + falls["changes", "d"])
 
 
-@functools.cache
-def followed(name):
-    """`slow.run` of a bundled policy."""
+BUNDLED = [f"{robot}{end}" for robot in paper.ROBOTS for end in ("", "_deploy")] + ["g1_deploy"]
+SECONDS_EACH = pytest.mark.slow  # three; a default test plays one
+
+
+@pytest.mark.parametrize(
+    "name", [name if name == "go1" else pytest.param(name, marks=SECONDS_EACH) for name in BUNDLED]
+)
+def test_slow_commands_that_a_bundled_policy_follows_are_those_of_the_file(name):
     from dynappo.evaluate import slow
     from dynappo.policy import policy_source
 
-    return slow.run(policy_source.player(policy_source.load(name)[0])[0])
+    found = slow.run(policy_source.player(policy_source.load(name)[0])[0])
+    assert [f"{x:g}" if x else "none" for x in found.values()] == followed_by(name)
 
 
 @pytest.mark.parametrize("page", [DEPLOY / "gait.md", ROOT / "robots/DEPLOY.md"])
 def test_slow_commands_that_bundled_policies_follow_are_as_the_pages_say(page):
-    """By `slow.run` of today: a row a policy, or a column."""
+    """A row a policy, or a column."""
     section = page.read_text().split("## Slow commands")[1].split("\n## ")[0]
     head, _, *rows = [cells(line) for line in section.splitlines() if line[:1] == "|"]
     if "ahead" in head:  # a row a policy; the table after it is of runs that are not here
@@ -2598,7 +2666,7 @@ def test_slow_commands_that_bundled_policies_follow_are_as_the_pages_say(page):
         told = {name: ", ".join(row[k] for row in rows) for k, name in enumerate(head) if k}
     assert len(told) >= 5
     for name, text in told.items():
-        assert shows(text, *followed(name).values()), (name, followed(name))
+        assert text == ", ".join(followed_by(name)), name
 
 
 def test_the_bundled_policies_for_hardware_are_the_best_rows_of_their_file():
