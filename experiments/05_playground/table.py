@@ -18,15 +18,16 @@ equal return the fewer steps.
 
 A seed that ran twice counts as two runs, as runs of a seed differ on a GPU.
 
-Means over runs are of the evaluations that two have, or the only one. Those of brax's PPO and of ours are
-also of those that one has while another is on its way, on a straight line between evaluations at most `LINE`
-apart. Runs named -steps and -shared share a card, so their seconds are left out. Those of brax's PPO are its
-steps times what a step takes in runs of the same task alone, in their mean (`rates`); one named -brax-alone
-is there for that only. The seconds to 90 % and 100 % are told only where all runs that get there have
-seconds.
+Means over runs are of the evaluations that two seeds have, or the only one. Those of brax's PPO and of ours
+are also of those that one has while another is on its way, on a straight line between evaluations at most
+`LINE` apart. Runs named -steps and -shared share a card, so their seconds are left out. Those of brax's PPO
+are its steps times what a step takes in runs of the same task alone, in their mean (`rates`); one named
+-brax-alone is there for that only. The seconds to 90 % and 100 % are told only where all runs that get there
+have seconds.
 """
 
 import csv
+from itertools import compress
 from pathlib import Path
 
 import numpy as np
@@ -187,19 +188,20 @@ def average(numbers) -> str:
 def mean(some, between: bool = False) -> np.ndarray:
     """M steps, seconds (NaN where no run was alone), return and falls in the mean over runs, `[E, 4]`.
 
-    At evaluations that two runs have, or the only one; with `between` at those of any run, where two are on
-    their way: on a straight line between two evaluations of a run, at most `LINE` apart.
+    At evaluations that two seeds have, or the only one; with `between` at those of any run, where two seeds
+    are on their way: on a straight line between two evaluations of a run, at most `LINE` apart.
     """
     names = "return", "fall_rate"
     curves = [
         np.array([(*when(row), *(float(row[k]) for k in names)) for row in rows]) for rows in some
     ]
-    enough, out = min(2, len(curves)), []
-    points, times = np.unique(np.concatenate([x[:, 0] for x in curves]), return_counts=True)
-    for at in points if between else points[times >= enough]:
-        there = [curve for curve in curves if apart(curve[:, 0], at) <= LINE * between]
-        if len(there) >= enough:
-            each = np.array([[np.interp(at, curve[:, 0], y) for y in curve.T] for curve in there])
+    seeds = [rows[0]["seed"] for rows in some]
+    enough, out = min(2, len(set(seeds))), []
+    for at in np.unique(np.concatenate([curve[:, 0] for curve in curves])):
+        there = [apart(curve[:, 0], at) <= LINE * between for curve in curves]
+        if len({*compress(seeds, there)}) >= enough:
+            each = [[np.interp(at, x[:, 0], y) for y in x.T] for x in compress(curves, there)]
+            each = np.array(each)
             alone = each[np.isfinite(each[:, 1]), 1]
             out.append([at, alone.mean() if len(alone) else np.nan, *each[:, 2:].mean(0)])
     return np.array(out)
