@@ -88,12 +88,17 @@ def options(folder: Path, of: argparse.ArgumentParser) -> argparse.Namespace:
 
 def chosen(jobs: Iterable[str], names: Sequence[str]) -> list[str]:
     """The jobs that `names` ask for, in their order: the one of that very name, else all that begin so. All
-    without names."""
+    without names; SystemExit where there is none."""
     jobs = list(jobs)
+    if not names:
+        return jobs
     asked = [
         [name] if name in jobs else [job for job in jobs if job.startswith(name)] for name in names
     ]
-    return list(dict.fromkeys(job for found in asked for job in found)) if names else jobs
+    for name, found in zip(names, asked, strict=True):
+        if not found:
+            raise SystemExit(f"{name}: no job is named, or begins, so")
+    return list(dict.fromkeys(job for found in asked for job in found))
 
 
 def table(name: str) -> list[dict[str, Any]]:

@@ -6,7 +6,6 @@ import contextlib
 import csv
 import functools
 import importlib
-import inspect
 import io
 import itertools
 import json
@@ -112,7 +111,8 @@ def test_a_name_asks_for_its_job_or_for_all_that_begin_so():
     assert paper.chosen(jobs, []) == jobs
     assert paper.chosen(jobs, ["go2-blind"]) == ["go2-blind"]
     assert paper.chosen(jobs, ["go1", "go2-b", "go2-blind"]) == ["go1-best", *jobs[:3]]
-    assert paper.chosen(iter(jobs), ["anymal"]) == []
+    with pytest.raises(SystemExit, match="anymal: no job"):
+        paper.chosen(iter(jobs), ["go2", "anymal"])
 
 
 @pytest.mark.parametrize("name", PLOTS)
@@ -797,7 +797,7 @@ def test_equal_returns_on_playgrounds_pages_are_those_of_its_runs(playground):
     # beside our PPO
     times = [float(row[6]) / float(row[2].split(",")[0]) for row in rows if row[6] != "-"]
     assert f"{max(times):.0f}, {min(times):.0f}, {np.median(times):.0f}" == "18, 2, 10"
-    assert "18 to 2 times fewer steps, in the median 10" in words
+    assert "2 to 18 times fewer steps, in the median 10" in words
 
 
 def test_when_runs_have_braxs_highest_return_is_as_playgrounds_pages_say(playground):
@@ -985,14 +985,14 @@ def test_our_ppo_beside_braxs_is_as_playgrounds_page_says(playground):
     spot = shares("Spot")
     assert f"{max(spot):.1f} to {min(spot):.1f} times on Spot" in words
     fewer = shares("G1", "Berkeley", "T1", "Go1, rough", "Apollo", "Barkour", "Op3")
-    told = "on G1, Berkeley, T1, Go1's rough ground, Apollo, Barkour and Op3."
+    told = "on G1, Berkeley, T1, Go1's rough ground, Apollo, Barkour and Op3;"
     assert f"{100 - 100 * max(fewer):.0f} to {100 - 100 * min(fewer):.0f} % fewer {told}" in words
     every = [float(row[6]) / float(row[3].split(",")[0]) for row in rows if row[6] != "-"]
     assert f"which needs {min(every):.1f} to {max(every):.1f} times brax's steps" in words_of(
         "README.md"
     )
     some = shares("G1", "Op3")
-    assert f"about on G1 and Op3 ({min(some):.1f} to {max(some):.1f} times the steps)" in words
+    assert f"about on G1 and Op3 ({min(some):.1f} to {max(some):.1f} times the steps;" in words
 
 
 def test_what_our_ppo_has_in_the_end_is_as_playgrounds_page_says(playground):
@@ -1007,7 +1007,8 @@ def test_what_our_ppo_has_in_the_end_is_as_playgrounds_page_says(playground):
         kinds = [found[task, kind] for kind in table.BRAX if (task, kind) in found]
         theirs = [table.mean(some, True) for runs in kinds for some in table.both_ways(runs)]
         needs = [x for curve in theirs if np.isfinite(x := table.to_return(curve, level)[0])]
-        needs = f"{min(needs):.0f}" if needs else "never"
+        at_most = max(table.when(runs[-1])[0] for runs in found[task, "brax1"]) if not needs else 0
+        needs = f"{min(needs):.0f}" if needs else f"not by {at_most:.0f}"
         highest = f"{needs} ({table.reference(found, task):.1f})"
         assert shown == [f"{level:.1f}", f"{table.when(row)[0]:.0f}", highest], name
     long = {
@@ -2579,9 +2580,11 @@ def test_five_seeds_that_hear_more_slow_commands_are_as_their_files_say():
     )
     # seeds that choose.py played, and what narrower kernels are worth on an ANYmal-D
     rows, benchmark = played(), (DEPLOY / "slow_chosen.txt").read_text()
-    falls = [total_falls(row) for name, row in rows.items() if re.match(r"slow40-\w\.", name)]
+    falls = [total_falls(row) for name, row in rows.items() if re.match(r"slow(40)?-\w\.", name)]
     fell = [count for count in falls if count]
-    assert len(falls) == 16 and len(fell) == 12
+    assert len(falls) == 18 and len(fell) == 12
+    narrower = [total_falls(row) for name, row in rows.items() if name.startswith("slow40-s42-g.")]
+    assert narrower == [0] * 4
     assert f"played twelve fall, {min(fell):.0f} to {max(fell):.0f} times" in page
     before = [row for name, row in rows.items() if "-bundled." in name]
     assert len(before) == 5 and not sum(map(total_falls, before))
@@ -4177,11 +4180,12 @@ def test_a_kernel_is_told_by_its_line_and_operation(tmp_path):
         compiled = jax.jit(wave).lower(jnp.ones((64, 64))).compile()
     finally:
         jax.config.update("jax_traceback_in_locations_limit", kept)
-    line = inspect.getsourcelines(wave)[1] + 1
     said = kernels.computes(compiled.as_text())
-    assert {f"test_experiments.py:{line} {what}" for what in ("dot_general", "sin")} <= set(
-        said.values()
-    )
+    for operation in (
+        "dot_general",
+        "sin",
+    ):  # lines are those of the run that compiled it (conftest.py)
+        assert any(re.fullmatch(rf"test_experiments.py:\d+ {operation}", x) for x in said.values())
     with jax.profiler.trace(tmp_path):
         for _ in range(3):
             jax.block_until_ready(compiled(jnp.ones((64, 64))))

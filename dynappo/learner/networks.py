@@ -32,7 +32,7 @@ PRECISION = {"highest": "highest", "tf32": "tensorfloat32", "bfloat16": "default
 
 # of `(obs, critic_obs)`: `(mean action, value)`
 ActorCritic = Callable[..., tuple[Float[Array, "... A"], Float[Array, "..."]]]
-MAX_SLICES = 8  # of an observation, for `columns`
+MAX_SLICES = 8  # of an observation, for `columns`; more are not measured
 MAX_MEAN = 10.0  # units of the action; policy/policy_file.py and the ONNX file clip there too
 
 
@@ -148,13 +148,13 @@ def inputs(static: Static, env: Env, obs: Float[Array, "... O"], prop: Float[Arr
     return of_actor, exact if env.views is None else columns(exact, env.views.critic)
 
 
-def columns(x: Float[Array, "... O"], numbers: np.ndarray) -> Float[Array, "... K"]:
-    """The columns `numbers` of x: neighbours as one slice, as XLA's gather reads and writes a column at a
-    time (an H200 takes 4.7 us for 235 columns of 2048 robots)."""
-    starts = np.flatnonzero(np.diff(numbers, prepend=-2) != 1)
-    if len(starts) > MAX_SLICES:
-        return x[..., numbers]
-    runs = np.split(numbers, starts[1:])
+def columns(x: Float[Array, "... O"], which: np.ndarray) -> Float[Array, "... K"]:
+    """The columns `which` of x: neighbours as one slice, as XLA's gather reads and writes a column at a time
+    (an H200 takes 4.7 us for 235 columns of 2048 robots, and 2.9 for slices)."""
+    starts = np.flatnonzero(np.diff(which, prepend=-2) != 1)
+    if not 0 < len(starts) <= MAX_SLICES:
+        return x[..., which]
+    runs = np.split(which, starts[1:])
     return jnp.concatenate([x[..., run[0] : run[-1] + 1] for run in runs], axis=-1)
 
 

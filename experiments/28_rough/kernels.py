@@ -1,7 +1,7 @@
 """The kernels of an iteration of physics alone, and of a tail alone, by the time that they take on a GPU.
 
     python experiments/28_rough/kernels.py OUT.csv go2:rough go2 [--robots 2048] [--set FIELD=VALUE ...]
-    python experiments/28_rough/kernels.py results/kernels.csv    # the table of time.md, of what was measured
+    python experiments/28_rough/kernels.py experiments/28_rough/results/kernels.csv    # the table of time.md
 
 Each config runs `ITERATIONS` iterations of the program that trains, under JAX's profiler: once with all rows
 real and no fit (`physics`), once with none real (`tail`). A line of OUT.csv is a kernel: config, what ran,
@@ -128,9 +128,8 @@ def plain(name: str) -> str:
 def computes(text: str) -> dict[str, str]:
     """Of each instruction of a compiled program, as kernels are named after them: `file:line operation`."""
     tables = {}  # of the text: what has which number
-    for table in re.finditer(r"^([A-Z]\w+)\n((?:\d+ .*\n)+)", text, re.M):
-        rows = (row.split(" ", 1) for row in table[2].splitlines())
-        tables[table[1]] = {number: value for number, value in rows}
+    for found in re.finditer(r"^([A-Z]\w+)\n((?:\d+ .*\n)+)", text, re.M):
+        tables[found[1]] = dict(row.split(" ", 1) for row in found[2].splitlines())
     out = {}
     for line in text.splitlines():
         found = re.match(r"\s*(?:ROOT )?%?([\w.-]+) = .*op_name=\"([^\"]*)\"", line)

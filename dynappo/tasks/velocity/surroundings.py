@@ -178,7 +178,7 @@ def sense(s: Surroundings, hyper: Hyper, numbers, key):
         return numbers
     where, noise = places(s)["scan"], hyper.task.noise
     exact = numbers[where]
-    # 16 bits for each of the two are enough: random bits were the dearest part of a scan on a GPU
+    # 16 bits for each are enough; a row of 2048 robots takes 3 us less (H200, 28_rough/kernels.py)
     bits = jax.random.bits(key, exact.shape, jnp.uint32)
     unit, coin = ((half + 0.5) / 2**16 for half in (bits >> 16, bits & 0xFFFF))
     sensed = exact + (2 * unit - 1) * noise.scan
