@@ -94,12 +94,15 @@ def test_of_jobs_only_those_run_whose_names_begin_as_asked(tmp_path, monkeypatch
     for names, expected in (
         (["go1"], ["go1-a"]),
         ([], ["go1-a", "go2-a"]),
-        (["x", "go2"], ["go2-a"]),
+        (["go2", "go1-a"], ["go2-a", "go1-a"]),
     ):
         monkeypatch.setattr(sys, "argv", ["run.py", str(tmp_path), str(jobs), *names])
         started.clear()
         less.main()
         assert started == expected
+    monkeypatch.setattr(sys, "argv", ["run.py", str(tmp_path), str(jobs), "go1", "x"])
+    with pytest.raises(SystemExit, match="x: no job"):
+        less.main()
 
 
 def test_what_runs_next_names_scripts_and_jobs_that_there_are():
