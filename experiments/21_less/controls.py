@@ -17,8 +17,12 @@ Ideas of other model-based methods (27_few):
 - `stopping`: a fit has `PARTS` parts, and ends with the weights that were best on the new rows of the robots
   that it did not see; with a memory not the remembered ones either
 - `real-again`: PPO learns from the real rows in every round, not in the first alone
+
+What the paper claims, and others may do (19_collapse/controls.py): `cold`, `unmasked`, `bootstrap-real`,
+`unanchored`
 """
 
+import importlib
 from functools import partial
 
 import jax
@@ -26,6 +30,8 @@ import jax.numpy as jnp
 
 from dynappo import algorithm, fast, rollout
 from dynappo.model import dynamics, errors, memory
+
+claims = importlib.import_module("experiments.19_collapse.controls")
 
 MEMBERS, DOUBTFUL, PARTS, UNSEEN = 3, 0.02, 5, 8
 MEMBER = 7  # of a robot's key in a row; `algorithm` and `dynamics` fold 0 to 3
@@ -158,4 +164,5 @@ CONTROLS = {  # name -> what is put where
     "ensemble-end": [*_ensemble(end=True), (algorithm, "presence", presence_to_the_end)],
     "stopping": [(fast, "fit", stopped)],
     "real-again": [(algorithm, "estimate", of_the_first_round)],
+    **claims.CONTROLS,
 }

@@ -1,0 +1,140 @@
+"""19_collapse: each control does what its line says, and nothing else."""
+
+import importlib
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+import toy_env
+
+from dynappo import algorithm, config, fast
+from dynappo.config import splitting
+from dynappo.description import robot as robot_lib
+from dynappo.learner import networks
+from dynappo.model import dynamics, examples
+from dynappo.tasks.velocity import env as env_lib
+from dynappo.tasks.velocity import observe
+
+controls = importlib.import_module("experiments.19_collapse.controls")
+REAL = 5  # rows of 8
+
+
+@pytest.fixture(scope="module")
+def toy():
+    """`(env, static, hyper, state, rows)`: eight rows of physics, in some of which an episode ends."""
+    env = toy_env.make()
+    _, static, hyper = toy_env.settings(toy_env.TAIL)
+    state = jax.jit(partial(algorithm.init, env, static=static))(hyper, jax.random.key(0))
+    collect = jax.jit(partial(algorithm.collect, env, static=static))
+    rows, _, _ = collect(hyper, state, n_real=jnp.int32(8), key=jax.random.key(1))
+    return env, static, hyper, state, rows
+
+
+def test_a_cold_fit_does_not_depend_on_the_weights_before_it(toy):
+    env, static, hyper, state, rows = toy
+    new = examples.examples(static, hyper, env, rows=rows, n_real=jnp.int32(REAL))
+    given = dict(rows=new, epochs=jnp.int32(2), key=jax.random.key(2))
+    once = state.model.replace(params=jax.tree.map(lambda x: x + 1.0, state.model.params))
+
+    def fitted(fit, model):
+        return jax.jit(partial(fit, static))(hyper, model, **given)[0]
+
+    one, other = (fitted(controls.cold, model) for model in (state.model, once))
+    jax.tree.map(np.testing.assert_array_equal, one.params, other.params)
+    one, other = (fitted(fast.fit, model) for model in (state.model, once))
+    assert any(
+        abs(a - b).max() > 0.1
+        for a, b in zip(*map(jax.tree.leaves, (one.params, other.params)), strict=True)
+    )
+    np.testing.assert_array_equal(one.inputs.mean, fitted(controls.cold, once).inputs.mean)
+
+
+def test_without_a_mask_the_model_learns_the_way_into_the_next_episode(toy):
+    env, static, hyper, _, rows = toy
+    rows = rows.replace(discount=rows.discount.at[1, 0].set(0.0), obs=rows.obs.at[2, 0].set(9.0))
+    rows = rows.replace(prop=rows.prop.at[2, 0].set(9.0))
+    masked, all_rows = (
+        f(static, hyper, env, rows=rows, n_real=jnp.int32(REAL))
+        for f in (examples.examples, controls.unmasked)
+    )
+    assert (all_rows.weight[:REAL] == 1).all() and (all_rows.weight[REAL:] == 0).all()
+    before, _ = examples.before_and_after(static, env, rows)
+    now, then = before[1, 0, : env.prop_size], before[2, 0, : env.prop_size]
+    expected = then - now if static.model.predict_change else then
+    np.testing.assert_allclose(all_rows.y[1, 0, : env.prop_size], expected, rtol=1e-5)
+    assert static.model.falls or masked.weight[1, 0] == 0
+    # where no episode ends, and in the last real row, they are the same
+    lives = np.array((rows.discount == 1) & (rows.truncation == 0))[:REAL]
+    lives[1, 0] = False
+    np.testing.assert_allclose(
+        all_rows.y[:REAL][lives][:, :-1], masked.y[:REAL][lives][:, :-1], rtol=1e-4, atol=1e-4
+    )
+
+
+def test_the_last_value_is_that_of_the_last_observation_of_physics(toy):
+    env, static, hyper, state, rows = toy
+    real = (jnp.arange(8) < REAL)[:, None]
+    whole = rows.replace(discount=jnp.ones_like(rows.discount), truncation=0 * rows.truncation)
+    params = state.learner.params
+    found = jax.jit(partial(controls.bootstrap_real, static, hyper, env))(
+        rows=whole, real=real, params=params
+    )
+    _, seen = networks.inputs(static, env, whole.next_obs[REAL - 1], whole.next_prop[REAL - 1])
+    with jax.default_matmul_precision("highest"):
+        behind = networks.value(static, params, seen)
+    np.testing.assert_allclose(
+        found.returns[-1], whole.reward[-1] + hyper.ppo.gamma * behind, rtol=1e-4, atol=1e-5
+    )
+    same = jax.jit(partial(controls.bootstrap_real, static, hyper, env))(
+        rows=whole, real=real | True, params=params
+    )
+    shipped = jax.jit(partial(algorithm.estimate, static, hyper, env))(
+        rows=whole, real=real | True, params=params
+    )
+    np.testing.assert_allclose(same.returns, shipped.returns, rtol=1e-4, atol=1e-6)
+
+
+@pytest.fixture(scope="module")
+def go1():
+    """`(env, hyper, body, states)` of the velocity task; no physics is compiled."""
+    settings = config.validate(config.load("configs/go1.py:dyna4_noschedule"))
+    _, hyper = splitting.split(settings)
+    env = env_lib.make(robot_lib.load("go1"), settings.task, settings.physics)
+    body = env.randomize(hyper, jax.random.key(0))
+    return env, hyper, body, [env.reset(hyper, body, jax.random.key(k)) for k in (1, 2)]
+
+
+def test_a_robot_arrives_where_the_model_left_it(go1):
+    """A pose with tilt and all speeds, told by its numbers alone: the robot senses just these, looks where
+    it looked, and its lowest foot is as high as it was."""
+    env, hyper, body, (start, end) = go1
+    quat = jnp.array([0.8, 0.2, -0.3, 0.4]) / jnp.linalg.norm(jnp.array([0.8, 0.2, -0.3, 0.4]))
+    rng = np.random.default_rng(0)
+    qpos = end.qpos.at[3:7].set(quat).at[7:].add(0.3 * rng.normal(size=12))
+    end = end.replace(qpos=qpos, qvel=jnp.asarray(rng.normal(size=18), jnp.float32))
+    (const,) = env.step.args
+    exact = controls.view.exact(const.view, const.robot, hyper, body, end)
+    prop = exact[: env.prop_size]
+    there = controls.arrived(
+        env, hyper, body, start, exact + 0.01, prop, jnp.ones(12), jnp.zeros(12)
+    )
+    again = controls.view.exact(const.view, const.robot, hyper, body, there)
+    np.testing.assert_allclose(again[: env.prop_size], prop, atol=2e-5)
+    np.testing.assert_allclose(there.prop, prop, atol=2e-5)
+    np.testing.assert_array_equal(there.obs, exact + 0.01)
+    np.testing.assert_array_equal(there.qpos[:2], start.qpos[:2])
+    np.testing.assert_allclose(
+        observe.heading(there.qpos[3:7]), observe.heading(start.qpos[3:7]), atol=1e-5
+    )
+    model, heights = const.robot.mj_model, []
+    for state in (start, there):
+        data = mujoco.MjData(model)
+        data.qpos[:] = state.qpos
+        mujoco.mj_kinematics(model, data)
+        feet = const.robot.feet
+        heights.append(min(data.geom_xpos[feet, 2] - model.geom_size[feet, 0]))
+    assert heights[0] == pytest.approx(heights[1], abs=1e-5)
+    assert (there.last_action == 1).all() and (there.older_action == 0).all()
