@@ -2,6 +2,7 @@
 
 import importlib
 from functools import partial
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -14,11 +15,12 @@ from dynappo import algorithm, config, fast
 from dynappo.config import splitting
 from dynappo.description import robot as robot_lib
 from dynappo.learner import networks
-from dynappo.model import dynamics, examples
+from dynappo.model import examples
 from dynappo.tasks.velocity import env as env_lib
 from dynappo.tasks.velocity import observe
 
 controls = importlib.import_module("experiments.19_collapse.controls")
+HERE = Path(__file__).parents[1] / "experiments/19_collapse"
 REAL = 5  # rows of 8
 
 
@@ -138,3 +140,24 @@ def test_a_robot_arrives_where_the_model_left_it(go1):
         heights.append(min(data.geom_xpos[feet, 2] - model.geom_size[feet, 0]))
     assert heights[0] == pytest.approx(heights[1], abs=1e-5)
     assert (there.last_action == 1).all() and (there.older_action == 0).all()
+
+
+def test_the_jobs_are_valid_and_on_the_page():
+    """Each with a control that there is, and seeds that the page names; no two jobs are the same."""
+    everything = importlib.import_module("experiments.21_less.controls").CONTROLS
+    page, seen = (HERE / "README.md").read_text(), set()
+    for line in (HERE / "jobs.txt").read_text().splitlines():
+        name, job, *fields = line.split()
+        values = dict(field.split("=", 1) for field in fields)
+        assert values.pop("control", "last") in everything
+        robot, _, variant = job.partition(":")
+        settings = config.load(f"configs/{robot}.py:{variant}")
+        for field, value in values.items():
+            config.override(settings, field, value)
+        settings = config.validate(settings)
+        assert settings.run.seed == 700 and settings.run.num_seeds in (3, 5)
+        kind = name.rpartition("-")[0].replace("-dyna4", "").replace("-noschedule", "")
+        shown = (kind, kind.split("-")[0], f"-{kind.partition('-')[2]}")
+        assert any(f"`{x}" in page for x in shown) or kind == "ppo16", name
+        assert (job, *sorted(fields)) not in seen
+        seen.add((job, *sorted(fields)))
