@@ -58,6 +58,8 @@ def test_without_a_mask_the_model_learns_the_way_into_the_next_episode(toy):
     env, static, hyper, _, rows = toy
     rows = rows.replace(discount=rows.discount.at[1, 0].set(0.0), obs=rows.obs.at[2, 0].set(9.0))
     rows = rows.replace(prop=rows.prop.at[2, 0].set(9.0))
+    # behind the last real row is a tail, from which nothing is learned
+    rows = rows.replace(obs=rows.obs.at[REAL].set(7.0), prop=rows.prop.at[REAL].set(7.0))
     masked, all_rows = (
         f(static, hyper, env, rows=rows, n_real=jnp.int32(REAL))
         for f in (examples.examples, controls.unmasked)
