@@ -1218,6 +1218,50 @@ def test_a_seed_that_blew_up_is_told_with_its_first_iteration():
     assert bad(told | {"value_loss": np.ones((3, 3))}, 3) == {}
 
 
+def test_learning_rates_beside_ppo16s_are_geometric_means_with_welchs_p():
+    """Two variants of three and four seeds, constant in each window but for NaN; and the page's numbers."""
+    plot, rng = script("15_curves/plot"), np.random.default_rng(0)
+    scipy_stats = pytest.importorskip("scipy.stats")
+    count = np.arange(1.0, 501)[:, None]
+    rates = {"ppo16": rng.uniform(1, 2, 3), "dyna4": rng.uniform(2, 4, 4)}
+    runs = {"fast": None}
+    for name, each in rates.items():
+        late = np.where(count > 100, 10.0, 1.0) * each
+        late[5] = np.nan
+        columns = {"iteration": np.broadcast_to(count, late.shape), "learning_rate": late}
+        runs[name] = types.SimpleNamespace(columns=columns)
+    rows = plot.beside("go1", runs)
+    assert [(row["variant"], row["window"]) for row in rows] == [
+        ("dyna4", x) for x in ("early", "end")
+    ]
+    logs = [np.log(rates[name]) for name in ("dyna4", "ppo16")]
+    for row in rows:
+        assert row["share"] == pytest.approx(np.exp(logs[0].mean() - logs[1].mean()))
+        assert row["p"] == pytest.approx(scipy_stats.ttest_ind(*logs, equal_var=False).pvalue)
+        assert row["share_low"] < row["share"] < row["share_high"]
+    assert plot.beside("go1", {"dyna4": runs["dyna4"]}) == []
+    with (EXPERIMENTS / "15_curves/rates.csv").open(newline="") as file:
+        told = [*csv.DictReader(file)]
+    page = " ".join((EXPERIMENTS / "15_curves/README.md").read_text().split())
+    for window, words in (
+        ("early", "over the first 100 iterations {} to {} times PPO-16's (Holm 1 on"),
+        (
+            "end",
+            "{} to {} times PPO-16's over the last 40 iterations, no difference shown (Holm 1)",
+        ),
+    ):
+        tails = [row for row in told if row["window"] == window and "dyna" in row["variant"]]
+        assert len(tails) == 12 and {row["p_holm"] for row in tails} == {"1"}
+        shares = [float(row["share"]) for row in tails]
+        assert words.format(f"{min(shares):.2f}", f"{max(shares):.2f}") in page
+    early = {r["robot"]: r for r in told if (r["variant"], r["window"]) == ("ppo12", "early")}
+    shares, holm = ({n: float(r[x]) for n, r in early.items()} for x in ("share", "p_holm"))
+    words = "{anymal_c:.2f} and {anymal_d:.2f} times on the ANYmals (Holm "
+    assert words.format(**shares) + "{anymal_c:.3f} and {anymal_d:.4f})".format(**holm) in page
+    words = "{go1:.2f} and {go2:.2f} on Go1 and Go2 (Holm "
+    assert words.format(**shares) + "{go1:.0f} and {go2:.2f})".format(**holm) in page
+
+
 def test_jobs_of_few_robots_are_valid_and_evaluated_on_the_way_to_45_thousand_steps():
     """Of 27_few: `robots-R` has R robots and a memory for all rows up to there. With up to 64 robots there
     are ten evaluations until 45 thousand steps, which every run reaches. Smaller steps begin at the share of

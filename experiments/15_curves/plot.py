@@ -3,7 +3,9 @@
     python experiments/15_curves/plot.py [--quick] [--out DIR]
 
 Trains nothing: reads the runs of 12_platforms (with --quick, those that its --quick made). Writes
-results.csv, numbers at some iterations, and ROBOT.png of every robot that has a run; Go1's always.
+results.csv, numbers at some iterations, rates.csv, each variant's learning rate as a share of PPO-16's in
+`WINDOWS`, with Welch's p and Holm's over all of a window, and ROBOT.png of every robot that has a run; Go1's
+always.
 """
 
 from pathlib import Path
@@ -20,6 +22,7 @@ PANELS = (  # of a row of the page: x, y, title
     ("iteration", "policy_std", "policy std (fig. 8)"),
     ("iteration", "learning_rate", "learning rate (fig. 10)"),
 )
+WINDOWS = {"early": (1, 100), "end": (461, 500)}  # iterations; early: while the tail's ramp lasts
 METRICS = ("episode_return", "policy_std", "learning_rate", "velocity_error")
 
 
@@ -29,13 +32,18 @@ def main():
 
 
 def make(out: Path, others: Path = HERE.parent) -> None:
-    rows, folder = [], others / "12_platforms" / "results"
+    rows, rates, folder = [], [], others / "12_platforms" / "results"
     for robot, title in paper.ROBOTS.items():
         runs = {name: paper.load(folder, f"{robot}_{name}") for name in paper.variants(robot)}
         rows += [row for name, run in runs.items() for row in build(robot, name, run)]
+        rates += beside(robot, runs)
         if robot == "go1" or any(run and run.columns for run in runs.values()):
             draw(runs, title, out / robot)
     paper.write(out / "results.csv", rows)
+    for window in WINDOWS:
+        stats.adjust([row for row in rates if row["window"] == window], "p")
+    if rates:
+        paper.write(out / "rates.csv", rates)
 
 
 def build(robot: str, variant: str, run: paper.Run | None) -> list[dict]:
@@ -51,6 +59,29 @@ def build(robot: str, variant: str, run: paper.Run | None) -> list[dict]:
             row |= stats.spread(name, run.columns[name][i])
         rows.append(row)
     return rows
+
+
+def beside(robot: str, runs: dict) -> list[dict]:
+    """The learning rate of each variant as a share of PPO-16's. A seed's is its geometric mean."""
+    some = {name: run for name, run in runs.items() if run and run.columns}
+    if "ppo16" not in some:
+        return []
+
+    def logs(run, first, last):
+        at = run.columns["iteration"][:, 0]
+        return np.nanmean(np.log(run.columns["learning_rate"][(first <= at) & (at <= last)]), 0)
+
+    rows = []
+    for window, ends in WINDOWS.items():
+        base = logs(some["ppo16"], *ends)
+        for name in some.keys() - {"ppo16"}:
+            own = logs(some[name], *ends)
+            share = np.exp(stats.difference(own, base))
+            cells = dict(zip(("share", "share_low", "share_high"), map(float, share), strict=True))
+            about = {"robot": robot, "variant": name, "window": window}
+            rows.append(about | cells | {"p": stats.welch_of(own, base)})
+    order = list(some)
+    return sorted(rows, key=lambda row: (row["window"], order.index(row["variant"])))
 
 
 def draw(runs: dict, title: str, path: Path) -> None:
