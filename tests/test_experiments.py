@@ -1262,6 +1262,29 @@ def test_learning_rates_beside_ppo16s_are_geometric_means_with_welchs_p():
     assert words.format(**shares) + "{go1:.0f} and {go2:.2f})".format(**holm) in page
 
 
+def test_times_of_table_i_are_measured_once_a_cell_and_beside_the_papers(
+    tmp_path, monkeypatch, capsys
+):
+    """Two cells of three are there: only the third is measured. Minutes are the paper's."""
+    times, path = script("10_ablation/times"), tmp_path / "times.csv"
+    path.write_text("envs,horizon,ms,device,commit\n512,12,4,GPU,a\n8192,32,40,GPU,a\n")
+    asked = []
+    monkeypatch.setattr(times.run, "configure", lambda job, *_: asked.append(job))
+    monkeypatch.setattr(times.build, "program", lambda _: types.SimpleNamespace(device="GPU"))
+    monkeypatch.setattr(times, "iteration", lambda _: 12.5)
+    times.measure(path, [(512, 12), (4096, 16), (8192, 32)])
+    assert asked == ["go1:ppo16:rollout.num_envs=4096:rollout.horizon=16"]
+    rows = times.read(path)
+    assert [row["ms"] for row in rows] == ["4", "40", "12.5"]
+    minutes = times.paper_times()
+    times.table(rows, minutes)
+    out = capsys.readouterr().out
+    for line in ("| R = 512 | 2.00 / 3.1 |", "| R = 4096 |  | 6.25 / 4.9 |", " | 20.00 / 12.3 |"):
+        assert line in out
+    both = np.log([[2, 20, 6.25], [minutes[512, 12], minutes[8192, 32], minutes[4096, 16]]])
+    assert f"3 cells: {np.corrcoef(both)[0, 1]:.3f}" in out
+
+
 def test_jobs_of_few_robots_are_valid_and_evaluated_on_the_way_to_45_thousand_steps():
     """Of 27_few: `robots-R` has R robots and a memory for all rows up to there. With up to 64 robots there
     are ten evaluations until 45 thousand steps, which every run reaches. Smaller steps begin at the share of
