@@ -1212,7 +1212,7 @@ def test_jobs_of_few_robots_are_valid_and_evaluated_on_the_way_to_45_thousand_st
 
 
 def test_fresh_seeds_of_few_without_anchors_pair_with_those_of_its_table():
-    """`fresh-anchors-` of 27_few's jobs.txt: the seeds and evaluations of fresh.txt, which batch `feet` ran."""
+    """In 27_few's jobs.txt: the seeds and evaluations of fresh.txt, which batch `feet` ran."""
     folder = EXPERIMENTS / "27_few"
     jobs, fresh = (
         dict(line.split(None, 1) for line in (folder / f"{file}.txt").read_text().splitlines())

@@ -28,8 +28,9 @@ IMAGINED = (  # robots for each simulated one -> job, of those with 4 real rows 
     (64, "i64-{}"),
     (256, "i256-{}"),
 )
-SIMULATED = ((1, "robots-1-g"), (4, "robots-4-g"), (64, "fresh-g"))  # real robots -> job of today's `few`
-EARLIER = ((16, "robots16"), (64, "few-940-g"), (256, "robots256"), (1024, "robots1024"))  # other weights
+# real robots -> job of today's `few`, and before today's weight of foot_clearance
+SIMULATED = ((1, "robots-1-g"), (4, "robots-4-g"), (64, "fresh-g"))
+EARLIER = ((16, "robots16"), (64, "few-940-g"), (256, "robots256"), (1024, "robots1024"))
 
 
 def main():
@@ -44,7 +45,9 @@ def main():
     for count, name in SIMULATED:
         bar(by_simulated, count, jobs[name], pictures.BLUE)
     for count, name in EARLIER:  # beside today's, where both have run
-        bar(by_simulated, 1.25 * count if count == 64 else count, jobs[name], pictures.BLUE, "white")
+        bar(
+            by_simulated, 1.25 * count if count == 64 else count, jobs[name], pictures.BLUE, "white"
+        )
     bar(by_simulated, 1024, jobs["best-g"], pictures.GREY)
     over_steps.axhline(1, color="0.4", lw=1, ls=":")
     over_steps.set(xlabel="thousand simulator steps", xlim=(0, 50), ylim=(0, None))
