@@ -21,6 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.stats
 import toy_env
 from answers import refused
 from toy_runs import assert_close
@@ -1320,6 +1321,20 @@ def test_jobs_of_few_robots_are_valid_and_evaluated_on_the_way_to_45_thousand_st
                 )
 
 
+def test_fresh_seeds_of_few_without_anchors_pair_with_those_of_its_table():
+    """In 27_few's jobs.txt: the seeds and evaluations of fresh.txt, which batch `feet` ran."""
+    folder = EXPERIMENTS / "27_few"
+    jobs, fresh = (
+        dict(line.split(None, 1) for line in (folder / f"{file}.txt").read_text().splitlines())
+        for file in ("jobs", "fresh")
+    )
+    ran = few_jobs("feet")
+    for robot in "ghcd":
+        asked = f"{fresh[f'fresh-{robot}']} schedule.anchors=0"
+        assert jobs[f"fresh-anchors-{robot}"] == asked
+        assert {row["job"] for row in ran[f"fresh-{robot}"]} == {fresh[f"fresh-{robot}"]}
+
+
 def test_the_table_of_logs_is_that_of_its_seeds(tmp_path):
     """In logs.md; and by hand, of two seeds that gain 1 and 3: 2 with Student's 12.706 of one degree."""
     table, few = script("27_few/logs_table"), EXPERIMENTS / "27_few"
@@ -1347,7 +1362,7 @@ def test_the_tables_of_few_robots_are_those_of_their_runs():
     table, few = script("27_few/table"), EXPERIMENTS / "27_few"
     page = {
         name: [cells(line) for line in (few / f"{name}.md").read_text().splitlines() if "|" in line]
-        for name in ("README", "parts", "model", "history")
+        for name in ("README", "model", "history")
     }
 
     def told(path, at):
@@ -1374,15 +1389,6 @@ def test_the_tables_of_few_robots_are_those_of_their_runs():
     known = {(*row[:-1], last) for row, last in zip(on_gpu, never, strict=True)}
     assert (len(fresh), len(model), len(before)) == (4, 17, 26)
     assert {tuple(row) for row in fresh + model + before} <= known
-    of_runs = table.table(table.read(packed, "one-commit"), []).splitlines()[2:]
-    of_runs = {line[0]: line[2:] for line in map(cells, of_runs)}
-    rows = {row[0]: row for row in page["parts"] if len(row) == 7 and row[3].endswith("of 5")}
-    for label, part in (("nothing: `few`", "whole"), ("a memory", "memory")):
-        assert rows[label][1::2][:2] == [
-            x if "(" in x else f"{x} of 5" for x in of_runs[f"part-{part}-h"]
-        ]
-    whole = of_runs["part-whole-d"]
-    assert rows["nothing: `few`"][4::2] == [whole[0], f"{whole[1]} of 5"]
 
 
 def shows(text, *values):
@@ -1416,6 +1422,13 @@ def first_of(batch, name):
     return f"{level.mean():.1f} ({level.max():.1f})"
 
 
+def words_of_first(reached):
+    """The same of what `few_of` found, as a sentence has it."""
+    return (
+        f"{reached.level.mean() / 1e3:.1f} k steps (the last seed {reached.level.max() / 1e3:.1f})"
+    )
+
+
 def falls_of(batch, name, least=0.0, most=np.inf):
     """Per cent of episodes with a fall in the last four evaluations, or in the four between these steps."""
     seeds = few_of(batch, name)[0]
@@ -1430,6 +1443,7 @@ def test_how_many_few_robots_need_which_steps_is_as_the_page_says():
     rows = {cells(line)[0]: cells(line)[1:] for line in page.splitlines() if "|" in line}
     jobs = {"16": ("robots", "robots16"), "64": ("commands", "few-940-g")}
     jobs |= {f"{count}": ("robots", f"robots{count}") for count in (256, 1024)}
+    jobs |= {"1": ("parts-2", "robots-1-g"), "4": ("one-commit", "robots-4-g")}
     jobs["1024, `best`"] = "rows", "best-g"
     for label, job in jobs.items():
         seeds, reached = few_of(*job)
@@ -1440,6 +1454,38 @@ def test_how_many_few_robots_need_which_steps_is_as_the_page_says():
         assert shows(iterations, at.mean()), (label, at.mean())
         held = {"64": range(940, 950), "1024, `best`": range(5)}.get(label, range(3))
         assert [run[0]["seed"] for run in seeds] == [*held]
+    (go, go_at), (anymal, anymal_at) = (few_of("parts-2", f"robots-1-{x}") for x in "gc")
+    assert f"after {words_of_first(go_at)}, which is four robot-minutes and a third" in text
+    told = [1e2 * round(10 * float(rows[robots][0].split()[0])) for robots in ("1", "4", "16")]
+    assert (
+        "one Go1 is at the level after {:,.0f} steps, four are after {:,.0f}, sixteen".format(*told)
+        in text
+    )
+    assert f"sixteen after {told[2]:,.0f} (three seeds each" in text
+    last = (
+        f"an ANYmal-C after {anymal_at.level.mean() / 1e3:.1f} ({anymal_at.level.max() / 1e3:.1f})"
+    )
+    assert f"{last}, seven. All three ANYmal-C walk, from" in text
+    for words, of in (("4.33", go_at), ("6.9", anymal_at)):
+        assert shows(words, of.level.mean() / 3000)
+    first_walk, last_walk = anymal_at.walks.min() / 1e3, anymal_at.walks.max() / 1e3
+    assert f"from {first_walk:.0f} to {last_walk:.0f} k on. Of three Go1 one walks" in text
+    assert [int(x) for x in np.isnan(go_at.walks)] == [1, 0, 1]
+    assert f"one walks, from {go_at.walks[1] / 1e3:.0f} k on" in text
+    falls = [100 * r["fall_rate"] for r in go[2]]
+    assert f"falls in {falls[-2]:.1f} and {falls[-1]:.1f} % of its episodes in the last two" in text
+    assert (min(falls[-10:-2]), max(falls[-10:-2])) == (0.5, 1.0) and falls[-11] > 1
+    assert "after 0.5 to 1 % in the eight before" in text
+    finite = [r for r in go[0] if r["return"]]
+    ends = finite[-1]["sim_steps"] / 1e3, go[0][len(finite)]["sim_steps"] / 1e3
+    known = f"was at the level after {go_at.level[0] / 1e3:.1f} k, had returns of 42, and"
+    assert known in text and f"between {ends[0]:.0f} and {ends[1]:.0f} k" in text
+    known = " ".join((EXPERIMENTS / "27_few/model.md").read_text().split())
+    assert f"between {ends[0]:.0f} and {ends[1]:.0f} k. Up to then its return is 42" in known
+    late = [r for r in finite if r["sim_steps"] > 24.9e3]
+    assert "at most 1.5 % falls since 25 k" in known
+    assert max(r["fall_rate"] for r in late) == 0.015
+    assert {round(r["return"]) for r in late} == {42}
     four = [few_of("one-commit", f"robots-4-{x}")[1] for x in "gc"]
     level = [f"{one.level.mean() / 1e3:.1f}" for one in four]
     last = [f"{one.level.max() / 1e3:.1f}" for one in four]
@@ -1461,42 +1507,131 @@ def test_how_many_few_robots_need_which_steps_is_as_the_page_says():
     assert "(`best-memory`: {:.1f} k, ANYmal-C {:.1f} instead of {:.1f} k)".format(*memory) in text
 
 
+PARTS_OF_FEW = {  # what parts.md takes out -> its job, robots of which it ran
+    "nothing: `few`": ("whole", "ghcd"),
+    "imagined robots: 1 for each real one, not 64": ("imagined1", "ghcd"),
+    "remembered rows in the fit": ("remembered", "ghcd"),
+    "a memory": ("memory", "ghcd"),
+    "rounds: 1, not 3 (so no anchors and no new commands)": ("rounds1", "ghcd"),
+    "a symmetric model": ("symmetry", "ghcd"),
+    "anchors: tails begin in rows of the iteration": ("anchors", "ghcd"),
+    "new commands": ("commands", "gc"),
+    "smaller steps late (half of the KL)": ("late", "gc"),
+}
+
+
+def batch_of_part(part, robot):
+    """The batch of a cell of parts.md, as the page says."""
+    if part not in ("whole", "memory", "commands", "late"):
+        return "parts-2"
+    return "parts-cut" if robot in "gc" else "one-commit"
+
+
+def when_nan(batch, name):
+    """Thousand steps of the evaluation from which on all episodes of a seed are falls at no return; NaN."""
+    seeds = few_of(batch, name)[0]
+    bad = [
+        [r["sim_steps"] for r in run if r["fall_rate"] == 1 and r["return"] == 0] for run in seeds
+    ]
+    return np.array([one[0] / 1e3 if one else np.nan for one in bad])
+
+
+def test_the_table_of_the_parts_of_few_is_that_of_its_runs():
+    """A cell: thousand steps to the level, falls, how many walk; where a policy became NaN, how many did."""
+    page = (EXPERIMENTS / "27_few/parts.md").read_text()
+    lines = page.split("## What takes the last falls away")[0].splitlines()
+    rows = {cells(line)[0]: cells(line)[1:] for line in lines if "|" in line}
+    robots = rows.pop("without")
+    rows.pop("---")
+    assert robots == ["Go1", "Go2", "ANYmal-C", "ANYmal-D"] and rows.keys() == PARTS_OF_FEW.keys()
+    for label, (part, ran) in PARTS_OF_FEW.items():
+        for robot, cell in itertools.zip_longest("ghcd", rows[label], fillvalue=""):
+            batch, name = batch_of_part(part, robot), f"part-{part}-{robot}"
+            if robot not in ran:
+                assert cell == "" and all(
+                    name not in few_jobs(b) for b in ("parts-2", "one-commit")
+                )
+                continue
+            cut = cell.endswith(" \\*")
+            assert cut == (batch == "parts-cut")
+            when, falls, walk = cell.removesuffix(" \\*").split("; ")
+            seeds, reached = few_of(batch, name)
+            assert [run[0]["seed"] for run in seeds] == [*range(5)], name
+            ends = {run[-1]["sim_steps"] for run in seeds}
+            assert ends == {44032} or (cut and 33.5e3 < min(ends) and max(ends) < 39e3)
+            level = reached.level[np.isfinite(reached.level)] / 1e3
+            told = [f"{level.mean():.1f} ({level.max():.1f})"] if len(level) else []
+            told += [f"{5 - len(level)} never"] if len(level) < 5 else []
+            assert when == ", ".join(told), (name, told)
+            assert walk == str(np.isfinite(reached.walks).sum()), name
+            if bad := int(np.isfinite(when_nan(batch, name)).sum()):
+                assert falls == f"{bad} NaN", name
+            else:
+                least, most = (26e3, 34.2e3) if cut else (0, np.inf)
+                assert shows(falls.removesuffix(" %"), falls_of(batch, name, least, most)), name
+
+
 def test_what_the_parts_of_few_are_worth_is_as_the_page_says():
-    """One part taken out; and what took the last falls away, falls and how many of five walk."""
+    """What parts.md says of its first table, and what took the last falls away, of how many of five walk."""
     page = (EXPERIMENTS / "27_few/parts.md").read_text()
     one, last = page.split("## What takes the last falls away")
-    one = one.split("Go2 and ANYmal-D, the same seeds")[0]
-    rows, ends = (
-        {cells(line)[0]: cells(line)[1:] for line in part.splitlines() if "|" in line}
-        for part in (one, last)
+    ends = {cells(line)[0]: cells(line)[1:] for line in last.splitlines() if "|" in line}
+    words = " ".join(one.split())
+
+    def level(part, robot):
+        return few_of(batch_of_part(part, robot), f"part-{part}-{robot}")[1].level / 1e3
+
+    def falls(part, robot):
+        return falls_of(batch_of_part(part, robot), f"part-{part}-{robot}", 26e3, 34.2e3)
+
+    found = {
+        part: [np.nan_to_num(level(part, x), nan=np.inf) - level("whole", x) for x in "ghcd"]
+        for part in ("imagined1", "remembered", "rounds1", "symmetry", "anchors")
+    }
+    later = {part: np.sum(np.concatenate(one) > 0.01) for part, one in found.items()}
+    assert "1 of 20 runs is at the level by 44 k" in words
+    assert sum(np.isfinite(level("imagined1", x)).sum() for x in "ghcd") == 1
+    assert later["remembered"] == 20 and "all 20 runs are later" in words
+    assert later["symmetry"] == 18 and "in 18 of 20 pairs" in words
+    assert all(level("remembered", x).mean() > level("memory", x).mean() for x in "gh")
+    saved = [one.mean() for one in found["rounds1"]]
+    assert f"**Rounds** save {min(saved):.0f} to {max(saved):.0f} k steps" in words
+    anchors = np.concatenate(found["anchors"])
+    half = scipy.stats.t.ppf(0.975, 19) * anchors.std(ddof=1) / 20**0.5
+    told = (
+        f"the level comes {-anchors.mean():.1f} k steps sooner, in the mean of 20 pairs of equal seeds"
+        f" (95 % from {half - anchors.mean():.1f} sooner to {anchors.mean() + half:.1f} later,"
+        f" p {scipy.stats.ttest_1samp(anchors, 0).pvalue:.2f};"
+        f" {np.sum(anchors < -0.01)} sooner, {np.sum(abs(anchors) < 0.01)} the same,"
+        f" {later['anchors']} later)"
     )
-    parts = {"nothing: `few`": "whole", "new commands": "commands", "a memory": "memory"}
-    parts["smaller steps late (half of the KL)"] = "late"
-    assert rows.keys() - {"without", "---"} == parts.keys()
-    for label, part in parts.items():
-        for letter, mine in (("g", rows[label][:2]), ("c", rows[label][2:])):
-            job = "parts-cut", f"part-{part}-{letter}"
-            if mine == ["never: NaN"]:
-                assert np.isnan(few_of(*job)[1].level).all()
-            else:
-                assert mine[0] == first_of(*job)
-                assert shows(mine[1], falls_of(*job, 26e3, 34.2e3)), (job, mine)
-    both = page.split("Go2 and ANYmal-D, the same seeds")[1].split("\n- ")[0]
-    both = {cells(line)[0]: cells(line)[1:] for line in both.splitlines() if "|" in line}
-    for label, letter, falls in (
-        ("nothing: `few`", "whole-h", both["nothing: `few`"][1]),
-        ("nothing: `few`", "whole-d", both["nothing: `few`"][4]),
-        ("a memory", "memory-h", both["a memory"][1]),
+    assert told in words
+    spread = sum(level(part, x).var(ddof=1) / 5 for part in ("whole", "anchors") for x in "ghcd")
+    half = scipy.stats.t.ppf(0.975, 32) * spread**0.5 / 4
+    told = f"it is {half - anchors.mean():.1f} sooner to {anchors.mean() + half:.1f} later"
+    assert f"Unpaired, within robots, {told}" in words
+    told = "ANYmal-C and -D are {:.1f} and {:.1f} k sooner, which alone is not shown"
+    assert told.format(*(-one.mean() for one in found["anchors"][2:])) in words
+    for one in "cd":
+        assert scipy.stats.ttest_ind(level("whole", one), level("anchors", one)).pvalue > 0.05
+    told = f"{few_of('one-commit', 'bound50-few-c')[1].level.mean() / 1e3:.1f} instead of"
+    assert f"{told} {level('whole', 'c').mean():.1f} k, too" in words
+    for part, told in (
+        ("anchors", "From 26 to 34 k falls are {}, {}, {} and {} %, with anchors"),
+        ("whole", "with anchors {}, {}, {} and {}."),
     ):
-        assert shows(falls, falls_of("one-commit", f"part-{letter}")), (label, letter)
-    never = few_of("one-commit", "part-memory-d")[1].level / 1e3
-    gone = np.isnan(never).sum()
-    bad = [
-        next(r["sim_steps"] / 1e3 for r in run if r["fall_rate"] == 1 and r["return"] == 0)
-        for run in few_of("one-commit", "part-memory-d")[0]
-    ]
-    known = f"{np.nanmean(never):.1f}, {gone} never; all NaN, at evaluations from {min(bad):.0f} to"
-    assert f"| {known} {max(bad):.0f} k on | | 0 of 5 |" in page
+        told = re.search(re.escape(told).replace(r"\{\}", r"([\d.]+)"), words)
+        assert told is not None
+        assert all(shows(x, falls(part, y)) for x, y in zip(told.groups(), "ghcd", strict=True))
+    lost = [when_nan("parts-2", f"part-remembered-{x}") for x in "cdh"]
+    lost = [f"{np.nanmin(one):.0f} to {np.nanmax(one):.0f} k" for one in lost]
+    told = f"at evaluations from {lost[0]} (ANYmal-C), {lost[1]} (ANYmal-D) and {lost[2]} (Go2) on"
+    assert told in words
+    gone = when_nan("one-commit", "part-memory-d")
+    assert f"Five ANYmal-D: at evaluations from {min(gone):.0f} to {max(gone):.0f} k on" in words
+    gone = [f"{k:.0f}" for k in when_nan("parts-cut", "part-memory-c")]
+    assert [gone.count(k) for k in ("16", "24", "29")] == [1, 3, 1]
+    assert "between 13 and 16 k (one), 21 and 24 k (three) and 26 and 29 k (one)" in words
     names = {
         "nothing (batch `wide`, tails of 16, at 45 to 53 k)": "i64rows2",
         "new commands, half of the KL after 160 iterations, as today": "commands-late",

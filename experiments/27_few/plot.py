@@ -28,8 +28,9 @@ IMAGINED = (  # robots for each simulated one -> job, of those with 4 real rows 
     (64, "i64-{}"),
     (256, "i256-{}"),
 )
-# before today's weight of foot_clearance
-SIMULATED = ((16, "robots16"), (64, "few-940-g"), (256, "robots256"), (1024, "robots1024"))
+# real robots -> job of today's `few`, and before today's weight of foot_clearance
+SIMULATED = ((1, "robots-1-g"), (4, "robots-4-g"), (64, "fresh-g"))
+EARLIER = ((16, "robots16"), (64, "few-940-g"), (256, "robots256"), (1024, "robots1024"))
 
 
 def main():
@@ -43,6 +44,10 @@ def main():
                 bar(by_imagined, count, jobs[name.format(letter)], colour)
     for count, name in SIMULATED:
         bar(by_simulated, count, jobs[name], pictures.BLUE)
+    for count, name in EARLIER:  # beside today's, where both have run
+        bar(
+            by_simulated, 1.25 * count if count == 64 else count, jobs[name], pictures.BLUE, "white"
+        )
     bar(by_simulated, 1024, jobs["best-g"], pictures.GREY)
     over_steps.axhline(1, color="0.4", lw=1, ls=":")
     over_steps.set(xlabel="thousand simulator steps", xlim=(0, 50), ylim=(0, None))
@@ -57,7 +62,7 @@ def main():
     pictures.log(by_imagined)
     pictures.log(by_simulated)
     ticks(by_imagined, (1, 4, 16, 64, 256))
-    ticks(by_simulated, (16, 64, 256, 1024))
+    ticks(by_simulated, (1, 4, 16, 64, 256, 1024))
     pictures.save(page, HERE / "curves")
 
 
@@ -69,7 +74,7 @@ def curve(axis, job, robot, colour):
     pictures.band(axis, steps, returns / table.level_of(job), colour, robot, most=len(steps))
 
 
-def bar(axis, at, job, colour):
+def bar(axis, at, job, colour, fill=None):
     """When the seeds of a job are first at the level; a cross above where none is."""
     seeds = table.runs.seeds(job)
     first = table.runs.reached(seeds, table.level_of(job)).level / 1e3
@@ -77,7 +82,7 @@ def bar(axis, at, job, colour):
         axis.plot(at, 1e-3 * seeds[0][-1]["sim_steps"], "x", color=colour)
         return
     axis.plot([at, at], [np.nanmin(first), np.nanmax(first)], color=colour, lw=1.2)
-    axis.plot(at, np.nanmean(first), "o", color=colour, ms=5)
+    axis.plot(at, np.nanmean(first), "o", color=colour, mfc=fill or colour, ms=5)
 
 
 def ticks(axis, at):
