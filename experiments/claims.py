@@ -288,7 +288,10 @@ STATED = {  # name -> where, and the words
         ("docs/results.md", "settings for seconds `best` takes {:.1f} on that card"),
         ("docs/speed.md", "with settings for seconds `best` takes {:.1f} s there"),
         ("experiments/README.md", "with settings for seconds `best` takes {:.1f} s, and"),
-        ("experiments/28_rough/README.md", "settings for seconds `best` takes {:.1f} s on PPO's card"),
+        (
+            "experiments/28_rough/README.md",
+            "settings for seconds `best` takes {:.1f} s on PPO's card",
+        ),
         ("experiments/28_rough/time.md", "it takes 9.3, {:.1f} and 12.8"),
         (ROW_COST, "it is there after {:.1f} s, and after"),
     ],
