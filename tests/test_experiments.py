@@ -576,7 +576,8 @@ def test_what_the_pages_of_seconds_say_of_rough_ground_is_so():
             f" {points.low:.1f} to {points.high:.1f})",
             f"At its end PPO has {within(stats.difference(ends[2], ends[1]), 'points more')}, and the"
             f" default `best` {around(stats.difference(ends[0], ends[1]))}",
-            f"in {min(counts[5:10])} to {max(counts[5:10])} of 36 evaluations, PPO's in"
+            f"in {min(counts[5:10])} to {max(counts[5:10])} of 36 evaluations, PPO's, in runs almost"
+            " three times as long, in"
             f" {min(counts[10:])} to {max(counts[10:])} of 15 on both hosts",
             f"takes {within(slower, 'times the seconds of `best-r1e3` to the level')},"
             f" and `best-r1e3` {within(stats.ratio(steps[1], steps[0]), 'times its steps')}",
@@ -703,6 +704,17 @@ def test_what_the_pages_of_seconds_say_of_a_g1s_ppo_on_the_fifth_host_is_so():
         ),
     ):
         assert text in runs, text
+    ms = table.cost(found, best)
+    here = table.at_cost(found, ten, ms)
+    walks = table.to_walk(best), [table.to_walk(ten)]
+    cells = (
+        table.even(best, [here], ms),
+        table.even(walks[0], [table.at_cost(found, walks[1][0], ms)], ms),
+        table.for_seconds(found, quick, [ten]).removeprefix("; for seconds "),
+    )
+    text = "it would be {}, to a walk {}, and with settings for seconds {}."
+    computed = " ".join((EXPERIMENTS / ROW_COST / "computed.md").read_text().split())
+    assert text.format(*cells).replace("0.5 (", "0.50 (") in computed
     text = "ten seeds take {:.2f} s, {:.2f} times as long ({:.2f} to {:.2f})"
     assert text.format(its.mean(), *stats.ratio(its, mine)) in pages[f"{ROW_COST}/README"]
     text = f"take {table.interval(its)} s: " + "{:.2f} times as long as `best` ({:.2f} to {:.2f})"
