@@ -36,6 +36,8 @@ COMMITS = {  # of batches of SECONDS; rows of the first do not have theirs
     "H200, 2026-11-28": "a00ece3",
     "H200, 2026-11-28, second host": "7ab526d7",
     "H200, 2026-11-28, third host": "6b56a815",
+    "H200, 2026-11-28, fourth host": "a6010c44",
+    "H200, 2026-11-28, fifth host": "a6010c44",
 }
 CORES = "two CPU cores", "2026-11-26"
 ROBOTS = {"go1": "g", "go2": "h", "anymal_c": "c", "anymal_d": "d"}
@@ -267,8 +269,8 @@ STATED = {  # name -> where, and the words
     "go2 seconds to its level, rough ground": [
         ("README.md", "Go2 on rough ground, our kernel | 0.3 | {:.1f} |"),
         ("docs/results.md", "a Go2 is at its level later, after {:.1f} s"),
-        ("docs/speed.md", "at its level after 8.5 instead of {:.1f} s"),
-        ("experiments/README.md", "after 8.5 instead of {:.1f} s. At"),
+        ("docs/speed.md", "at its level after 10.1 instead of {:.1f} s"),
+        ("experiments/README.md", "after 10.1 instead of {:.1f} s; with"),
         ("experiments/28_rough/README.md", "first at the level after {:.1f} s of training"),
         ("experiments/28_rough/time.md", "of tiles and {:.1f} to the level"),
         (ROW_COST, "a Go2 is at its level after {:.1f} s with `best`"),
@@ -279,13 +281,24 @@ STATED = {  # name -> where, and the words
         ("docs/speed.md", "on rough ground is at its level after {:.1f} instead of"),
         ("experiments/README.md", "sooner with PPO, after {:.1f} instead of"),
         ("experiments/28_rough/README.md", "4096 robots after {:.1f}, for"),
-        ("experiments/28_rough/time.md", "4096 robots 6.7, {:.1f} and 33.6"),
-        (ROW_COST, "with `best` and {:.1f} with PPO: 0.48"),
+        ("experiments/28_rough/time.md", "that same card 7.5, {:.1f} and 36.0"),
+        (ROW_COST, "and after {:.1f} with PPO on the same card"),
+    ],
+    "go2 seconds to its level, rough ground, with settings for seconds": [
+        ("docs/results.md", "settings for seconds `best` takes {:.1f} on that card"),
+        ("docs/speed.md", "with settings for seconds `best` takes {:.1f} s there"),
+        ("experiments/README.md", "with settings for seconds `best` takes {:.1f} s, and"),
+        (
+            "experiments/28_rough/README.md",
+            "settings for seconds `best` takes {:.1f} s on PPO's card",
+        ),
+        ("experiments/28_rough/time.md", "it takes 9.3, {:.1f} and 12.8"),
+        (ROW_COST, "it is there after {:.1f} s, and after"),
     ],
     "go2 fast PPO's steps to its level, by best's, rough ground": [
-        ("experiments/28_rough/README.md", "for {:.1f} times the steps (3.5 to"),
+        ("experiments/28_rough/README.md", "for {:.1f} times the steps (2.8 to"),
         ("experiments/28_rough/ppo.md", "and {:.1f} times to the level"),
-        (ROW_COST, "for {:.1f} times the steps (3.5 to"),
+        ("experiments/30_row_cost/runs.md", "for {:.1f} times the steps (2.8 to 7.9)"),
     ],
     "go2 crosses": [
         ("README.md", "crosses {:.0%} of all tiles of stairs"),
@@ -400,9 +413,9 @@ def seconds():
         if place == "g1.warp":
             name = "g1 PPO seconds to a walk, MuJoCo Warp"
             yield name, f"{ppo.walks[:, 2].mean():.6g}", "s", *where(ppo)
-        if place == "g1.kernel":
+        if place in ("g1.kernel", "go2.rough"):
             quick = table.fastest(table.variants(every, best))
-            name = "g1 seconds to its level, with settings for seconds"
+            name = f"{robot} seconds to its level{engine}, with settings for seconds"
             yield name, f"{quick.level[:, 2].mean():.6g}", "s", *where(quick)
 
 

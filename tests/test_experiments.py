@@ -163,7 +163,7 @@ def test_the_pages_of_seconds_have_the_tables_of_their_runs(monkeypatch, capsys)
     ):
         page = (EXPERIMENTS / ROW_COST / f"{name}.md").read_text().splitlines()
         rows = [line for line in printed.splitlines() if line.startswith(places)]
-        assert len(rows) >= (66 if name == "runs" else 8)
+        assert len(rows) >= (75 if name == "runs" else 8)
         assert rows == [line for line in page if line.startswith(places)]
 
 
@@ -437,108 +437,289 @@ def test_what_the_pages_of_seconds_say_of_a_g1_on_other_hosts_is_so(humanoid):
 
 
 def test_what_the_pages_of_seconds_say_of_rough_ground_is_so():
-    """`best` beside PPO on another host and day: to shares of tiles and to the level, and at the end."""
+    """`best`, `best` for seconds and PPO of the same card, and PPO of another host: to shares of tiles and to
+    the level, at the end, and what would be if they were evaluated as seldom."""
     table, rough = script(f"{ROW_COST}/table"), script("28_rough/table")
     found = table.runs()
-    best, (ppo,) = table.settings(found, "go2.rough")
-    both = best, ppo
-    runs, shares, steps, ends = ([[], []] for _ in range(4))
-    for k, one in enumerate(both):
-        seeds = {}
-        for row in table.read():
-            if (row["batch"], row["name"]) == (one.batch, f"go2.rough.{one.method}"):
-                seeds.setdefault(row["seed"], []).append(row)
-        runs[k] = [*seeds.values()]
-        for rows in runs[k]:
-            clock, count, crossed = (
-                np.array([float(row[name]) for row in rows])
-                for name in ("seconds", "sim_steps", "crossed")
-            )
-            shares[k].append([rough.first(clock, crossed, share) for share in (0.7, 0.8)])
-            steps[k].append(rough.first(count, crossed, 0.8))
-            ends[k].append([crossed[-1], clock[-1], np.interp(23.1, clock, crossed)])
-    shares, ends = ([np.array(some) for some in pair] for pair in (shares, ends))
-    level = [one.level[:, 2] for one in both]
-    sooner = stats.difference(*level), stats.difference(*(some[:, 1] for some in shares))
-    more = stats.ratio(ppo.level[:, 1], best.level[:, 1]), stats.ratio(*steps[::-1])
-    points = [
-        100 * np.array(stats.difference(ends[1][:, k], ends[0][:, k]))  # at the end; after 23.1 s
-        for k in (0, 2)
-    ]
-    spans = [f"{some.mean():.2f} ({some.min():.2f} to {some.max():.2f})" for some in level]
-    last = [f"{100 * some[:, 0].mean():.0f} %, {some[:, 1].mean():.1f}" for some in ends]
-    good = [[rough.at_level(rough.shares(row)) for row in rows] for rows in runs[1]]
-    assert sum(some[-1] for some in good) == 4  # at it at their end, of which just now:
-    assert sum(some[-1] and not some[-2] for some in good) == 2
-    counts = [sum(some) for some in good]
-    ms = [np.mean([1e3 * x[1] / int(runs[k][0][-1]["iteration"]) for x in ends[k]]) for k in (0, 1)]
-    updates = 3 * float(runs[0][0][0]["ppo_ms"]), float(runs[1][0][0]["ppo_ms"])
-    rows = [(one.level[:, 1] / one.robots).mean() for one in both]
-    rest = [
-        np.mean((1e3 * one.level[:, 2] - one.level[:, 1] / one.robots * one.row) / one.level[:, 0])
-        for one in both
-    ]
-    eighty = [some[:, 1].mean() for some in shares]
-    means, whole = [some.mean() for some in level], [some[:, 1].mean() for some in ends]
+    best, (few, ppo) = table.settings(found, "go2.rough")
+    quick = table.fastest(table.variants(found, best))
+    day = "H200, 2026-11-28"
+    assert quick[1:3] == (f"{day}, fifth host", "best-r1e3") and ppo[1:3] == (
+        quick.batch,
+        "ppo4096",
+    )
+    assert few[1:3] == (f"{day}, fourth host", "ppo2048") and len(few.level) == 1
+    (other,) = [x for x in found if x[:3] == ("go2.rough", f"{day}, third host", "ppo4096")]
+    kept = {}
+    for row in table.read():
+        key = row["batch"], row["name"].removeprefix("go2.rough."), row["seed"]
+        kept.setdefault(key[:2], {}).setdefault(row["seed"], []).append(row)
+
+    def of(one):
+        return [*kept[one.batch, one.method].values()]
+
+    def column(rows, name):
+        return np.array([float(row[name]) for row in rows])
+
+    def clocks(one, share, name="seconds"):
+        return np.array(
+            [rough.first(column(rows, name), column(rows, "crossed"), share) for rows in of(one)]
+        )
+
+    def crossed(one, after=np.inf):
+        return 100 * np.array(
+            [np.interp(after, column(x, "seconds"), column(x, "crossed")) for x in of(one)]
+        )
 
     def around(one, digits=1):
         return "{:.{d}f} ({:.{d}f} to {:.{d}f})".format(*one, d=digits)
 
-    def ends_of(one):
-        return f"{one.low:.1f} to {one.high:.1f}"
+    def within(one, words, digits=1):  # 3.9 times the steps (2.1 to 5.9)
+        return around(one, digits).replace(" (", f" {words} (")
 
+    def line(label, values):
+        return f"| {label} | " + " | ".join(values) + " |"
+
+    four = best, quick, ppo, other
+    level, steps = ([one.level[:, k] for one in four] for k in (2, 1))
+    walked = [one.walks[np.isfinite(one.walks[:, 2]), 2] for one in four]
+    last = [column([rows[-1] for rows in of(one)], "seconds").mean() for one in four]
+    ends = [crossed(one) for one in four]
+    falls = [100 * column([rows[-1] for rows in of(one)], "fell") for one in four]
+    every = [int(of(one)[0][0]["iteration"]) for one in four]
+    ms = [
+        1e3 * np.mean([float(x[-1]["seconds"]) / int(x[-1]["iteration"]) for x in of(one)])
+        for one in four
+    ]
+    updates = [float(of(one)[0][0]["ppo_ms"]) for one in four]
+    seventy, eighty = ([clocks(one, share) for one in four] for share in (0.7, 0.8))
+    to_80 = [clocks(one, 0.8, "sim_steps") for one in four]
+
+    def ten(some):
+        return np.concatenate(some[2:])
+
+    good = [[rough.at_level(rough.shares(row)) for row in rows] for one in four for rows in of(one)]
+    counts = [sum(some) for some in good]
+    assert {len(some) for some in good[5:10]} == {36} and {len(x) for x in good[10:]} == {15}
+    seldom = np.array(
+        [
+            table.reached([row for row in rows if int(row["iteration"]) % 175 == 0])[0, 2]
+            for rows in of(quick)
+        ]
+    )
+    assert int(np.isnan(seldom).sum()) == 1
+    rows = [(one.level[:, 1] / one.robots).mean() for one in four]
+    rest = [
+        np.mean((1e3 * one.level[:, 2] - one.level[:, 1] / one.robots * one.row) / one.level[:, 0])
+        for one in four
+    ]
+    even = {}
+    for mine, its in ((best, ppo), (best, other), (quick, ppo)):
+        cost = table.cost(found, mine)
+        here = [table.at_cost(found, its, cost)]
+        for power in (table.power_of(mine.place), 1.0):
+            even[mine.method, its.batch, power == 1] = table.break_even(mine, here, cost, power)
+    points = stats.difference(crossed(ppo, last[1]), crossed(quick, last[1]))
+    then = [crossed(one, last[0]) for one in four]
+    assert f"{then[3].mean():.0f}" == f"{then[2].mean():.0f}"
+    later, longer = stats.difference(level[2], level[1]), stats.ratio(level[2], level[1])
+    more, default = stats.ratio(steps[2], steps[1]), stats.ratio(steps[2], steps[0])
+    slower = stats.ratio(level[0], level[1])
+    thirds = stats.ratio(steps[3], steps[0])
     said = {
         "30_row_cost/README.md": [
-            f"{around(stats.ratio(*level[::-1]), 2).replace(' (', ' times as long (')}, for"
-            f" {around(more[0]).replace(' (', ' times the steps (')}",
-            f"80 % of all tiles after {eighty[0]:.1f} and {eighty[1]:.1f} s",
-            f"is shown: {100 * ends[0][:, 2].mean():.0f} and {100 * ends[1][:, 2].mean():.0f} %",
+            f"after {level[2].mean():.1f} with PPO on the same card:"
+            f" {within(longer, 'times as long', 2)}, for {within(more, 'times the steps')}",
+            f"four of its five seeds are there, after {np.nanmean(seldom):.1f} s",
+            f"{ten(eighty).mean():.1f} s, in ten runs on two hosts, instead of {eighty[1].mean():.1f}",
+            f"crosses {ends[1].mean():.0f} % of tiles, PPO {ends[2].mean():.0f} % after"
+            f" {last[2] / last[1]:.1f} times as long",
+            f"PPO with 2048 robots on rough ground one of five ({few.level[0, 2]:.1f} s)",
         ],
         "30_row_cost/runs.md": [
-            *(
-                f"| {label} | {table.interval(shares[0][:, k])} | {table.interval(shares[1][:, k])} |"
-                for k, label in enumerate(("70 % of all tiles, s", "80 %"))
+            line("70 % of all tiles, s", map(table.interval, seventy)),
+            line("80 %", map(table.interval, eighty)),
+            line(
+                "first at the level, s (first to last seed)",
+                (f"{x.mean():.2f} ({x.min():.2f} to {x.max():.2f})" for x in level),
             ),
-            f"| first at the level, s (first to last seed) | {spans[0]} | {spans[1]} |",
-            f"| at the end: of all tiles, s | {last[0]} | {last[1]} |",
-            f"at the level by {sooner[0].value:.1f} s ({ends_of(sooner[0])}) and at 80 % of tiles by"
-            f" {around(sooner[1])}, for {more[0].value:.1f} and {more[1].value:.1f} times the steps"
-            f" ({ends_of(more[0])}, {ends_of(more[1])})",
-            f"crosses {100 * ends[1][:, 2].mean():.0f} % of tiles; no difference is shown"
-            f" ({around(points[1]).replace(' (', ' points more, ')}",
-            f"all five do from {best.walks[:, 2].mean():.1f} s on, to {whole[0]:.1f} s",
-            f"in {min(counts)} to {max(counts)} of {len(good[0])}",
-            "one of 1024 {:.2f} and {:.2f} (computed)".format(
-                *(table.cost(found, x) for x in both)
+            line("the same, M steps", (f"{x.mean() / 1e6:.2f}" for x in steps)),
+            line(
+                "at the level at the end, and from when on: seeds, s",
+                (f"{len(x)}, {x.mean():.2f}" for x in walked),
             ),
-            f"An iteration takes {ms[0]:.1f} and {ms[1]:.1f} ms",
+            line(
+                "at the end: of all tiles, s",
+                (f"{x.mean():.0f} %, {s:.1f}" for x, s in zip(ends, last, strict=True)),
+            ),
+            line("falls at the end (seeds)", (f"{x.min():.0f} to {x.max():.0f} %" for x in falls)),
+            line(
+                "evaluated every: iterations, s",
+                (
+                    f"{n}, {n * x / 1e3:.{2 if n == 25 else 1}f}"
+                    for n, x in zip(every, ms, strict=True)
+                ),
+            ),
+            line("an iteration, ms", (f"{x:.1f}" for x in ms)),
+            f"at the level by {within(later, 's').replace(')', '')},"
+            f" Welch's p {stats.welch_of(level[2], level[1]):.2f}),"
+            f" {within(longer, 'times the seconds', 2)} and {within(more, 'times the steps')}",
+            f"all ten runs of PPO it is {within(stats.difference(ten(level), level[1]), 's')} and"
+            f" {within(stats.ratio(ten(steps), steps[1]), 'times the steps')}",
+            f"{175 * ms[1] / 1e3:.1f} s apart, four seeds of `best-r1e3` are there, after"
+            f" {np.nanmean(seldom):.1f} s",
+            f"to 80 % by {within(stats.difference(eighty[1], eighty[2]), 's on that card')}, and by"
+            f" {around(stats.difference(eighty[1], ten(eighty))).replace(' (', ' with all ten runs (')[:-1]},"
+            f" p {stats.welch_of(eighty[1], ten(eighty)):.2f}), for"
+            f" {within(stats.ratio(ten(to_80), to_80[1]), 'times the steps')}",
+            f"After its {last[1]:.1f} s it crosses {crossed(quick, last[1]).mean():.0f} % of tiles, PPO"
+            f" {crossed(ppo, last[1]).mean():.0f} % by then ({points.value:.1f} points more,"
+            f" {points.low:.1f} to {points.high:.1f})",
+            f"At its end PPO has {within(stats.difference(ends[2], ends[1]), 'points more')}, and the"
+            f" default `best` {around(stats.difference(ends[0], ends[1]))}",
+            f"in {min(counts[5:10])} to {max(counts[5:10])} of 36 evaluations, PPO's, in runs almost"
+            " three times as long, in"
+            f" {min(counts[10:])} to {max(counts[10:])} of 15 on both hosts",
+            f"takes {within(slower, 'times the seconds of `best-r1e3` to the level')},"
+            f" and `best-r1e3` {within(stats.ratio(steps[1], steps[0]), 'times its steps')}",
+            f"default by {within(stats.difference(level[0], level[2]), 's')} on the fifth host, for"
+            f" {within(default, 'times the steps')}, and by"
+            f" {around(stats.difference(level[0], level[3]))} on the third, for"
+            f" {within(thirds, 'times')}. After the {last[0]:.1f} s of `best` PPO crosses"
+            f" {then[2].mean():.0f} % of tiles on both,"
+            f" {within(stats.difference(ten(then), then[0]), 'points more with all ten runs')}",
+            f"one seed before it was cut off: {few.level[0, 2]:.2f} s, {few.level[0, 1] / 1e6:.1f} M",
+            f"0.36 ms on the second and fifth hosts, one of 4096 {ppo.row:.2f} on the fifth and"
+            f" {other.row:.2f} on the third; so one of 1024"
+            " {:.2f}, {:.2f} and {:.2f}".format(
+                *(table.cost(found, x) for x in (best, ppo, other))
+            ),
         ],
         "30_row_cost/computed.md": [
-            f"{rows[0]:.0f} rows of 2048 robots with `best` and {rows[1]:.0f} of 4096 with PPO. All else"
-            f" takes {rest[0]:.1f} ms an iteration of 460, and {rest[1]:.1f} of 380. Of `best` three"
-            f" updates take {updates[0]:.0f} of it."
+            f"{rows[0]:.0f} rows of 2048 robots with `best`, {rows[1]:.0f} with `best` for seconds and"
+            f" {rows[2]:.0f} of 4096 with PPO on the same card. All else takes {rest[0]:.1f} ms an"
+            f" iteration of 460, {rest[1]:.1f} of 620, and {rest[2]:.1f} of 420. Of `best` three updates"
+            f" take {3 * updates[0]:.0f} of it, of `best` for seconds its one {updates[1]:.1f}.",
+            "it would be {:.1f} ms on a Go2 ({:.2f} to {:.1f})".format(
+                *even["best", ppo.batch, False]
+            ),
+            "{:.2f} ({:.2f} to {:.1f}) if a row costs as".format(*even["best", ppo.batch, True]),
+            "it would be {:.1f} ({:.2f} to {:.1f}) and".format(*even["best", other.batch, False]),
+            "and {:.2f} ({:.2f} to {:.2f}). `best` for".format(*even["best", other.batch, True]),
+            "in the mean from {0:.2f} ms on, and up to {2:.1f} no".format(
+                *even["best-r1e3", ppo.batch, False]
+            ),
         ],
         "28_rough/README.md": [
-            f"80 % of all tiles take {eighty[0]:.1f} and {eighty[1]:.1f} s",
-            f"for {around(more[0]).replace(' (', ' times the steps (')}",
+            f"after {level[2].mean():.1f}, for {within(default, 'times the steps')}",
+            f"`best` takes {level[1].mean():.1f} s on PPO's card",
+            f"ends at {ends[1].mean():.0f} % of all tiles, three of five seeds stay",
         ],
         "28_rough/time.md": [
-            f"{eighty[0]:.1f} s for 80 % of tiles and {means[0]:.1f} to the level, {whole[0]:.1f} for the"
-            f" whole run; with PPO and 4096 robots {eighty[1]:.1f}, {means[1]:.1f} and {whole[1]:.1f}.",
-            f"takes {ms[0]:.1f} ms, {updates[0]:.0f} of them three updates; one of PPO {ms[1]:.1f},"
-            f" {updates[1]:.1f} of them",
+            f"{eighty[0].mean():.1f} s for 80 % of tiles and {level[0].mean():.1f} to the level,"
+            f" {last[0]:.1f} for the whole run; with one round, three epochs and a KL of 0.03 it takes"
+            f" {eighty[1].mean():.1f}, {level[1].mean():.1f} and {last[1]:.1f}; with PPO and 4096 robots"
+            f" on that same card {eighty[2].mean():.1f}, {level[2].mean():.1f} and {last[2]:.1f}.",
+            f"for {more.value:.1f} times the steps with PPO. But PPO ends at {ends[2].mean():.0f} instead"
+            f" of {ends[1].mean():.0f} % of tiles, and with ten runs on two hosts it is sooner at 80 %,"
+            f" after {ten(eighty).mean():.1f} s",
+            f"takes {ms[0]:.1f} ms, {3 * updates[0]:.0f} of them three updates; with one round and three"
+            f" epochs {ms[1]:.1f}, {updates[1]:.1f} of them its one; one of PPO {ms[2]:.1f},"
+            f" {updates[2]:.1f} of them its one",
+        ],
+        "../docs/results.md": [
+            "a Go2 on rough ground from {:.2f} or {:.1f}, by".format(
+                *(even["best", ppo.batch, alone][0] for alone in (True, False))
+            )
         ],
         "28_rough/ppo.md": [
-            f"need {more[1].value:.1f} times the steps to 80 % of tiles ({ends_of(more[1])}) and"
-            f" {around(more[0]).replace(' (', ' times to the level (')}, and end at"
-            f" {100 * ends[1][:, 0].mean():.0f} % of tiles,"
-            f" {around(points[0]).replace(' (', ' points above these `best` after 10 M (')}",
+            f"they need {within(stats.ratio(to_80[2], to_80[0]), 'times the steps to 80 % of tiles')} and"
+            f" {within(default, 'times to the level')}, on another"
+            f" {around(stats.ratio(to_80[3], to_80[0]))} and {around(thirds)}",
+            f"end at {ends[2].mean():.0f} and {ends[3].mean():.0f} % of tiles,"
+            f" {around(stats.difference(ends[2], ends[0]))} and"
+            f" {within(stats.difference(ends[3], ends[0]), 'points')} above these `best`",
         ],
     }
+    labels = {
+        "tune-r1e3": "one round, e3",
+        "tune-r1": "one round",
+        "tune-r2e3": "two rounds, e3",
+        "tune-r2": "two rounds",
+        "tune-e3": "three rounds, e3",
+    }
+    tuned = {x.method: x for x in found if x[:2] == ("go2.rough", f"{day}, fourth host")}
+    assert {*tuned} == {*labels, "ppo2048"}
+    lines = said["30_row_cost/settings.md"] = [
+        f"takes {level[1].mean():.2f} s instead of the {level[0].mean():.2f} of `best`, and PPO"
+        f" {level[2].mean():.2f} on the same card"
+    ]
+    for method, label in labels.items():
+        one = tuned[method]
+        seeds = of(one)
+        took = np.mean([1e3 * float(x[-1]["seconds"]) / int(x[-1]["iteration"]) for x in seeds])
+        low, high = sorted(crossed(one), reverse=method == "tune-e3")  # as the seeds are
+        cost = f"{took:.1f} | {one.level[:, 2].mean():.2f} | {one.level[:, 1].mean() / 1e6:.2f}"
+        lines.append(
+            f"| {label} | {cost} | {clocks(one, 0.8).mean():.2f} | {low:.0f} and {high:.0f} % |"
+        )
     for name, texts in said.items():
         page = " ".join((EXPERIMENTS / name).read_text().split())
         for text in texts:
             assert text in page, (name, text)
+
+
+def test_what_the_pages_of_seconds_say_of_a_g1s_ppo_on_the_fifth_host_is_so():
+    """All its ten seeds beside the seven of the host of `best`, which the tables have."""
+    table = script(f"{ROW_COST}/table")
+    found = table.runs()
+    pages = {
+        name: " ".join((EXPERIMENTS / f"{name}.md").read_text().split())
+        for name in (f"{ROW_COST}/README", f"{ROW_COST}/runs", "25_humanoid/seconds")
+    }
+    best, (seven,) = table.settings(found, "g1.kernel")
+    quick = table.fastest(table.variants(found, best))
+    (ten,) = [
+        x for x in found if x[:3] == ("g1.kernel", "H200, 2026-11-28, fifth host", "ppo1024x12")
+    ]
+    assert seven.batch == best.batch and [len(x.level) for x in (seven, ten)] == [7, 10]
+    its, mine, fast, usual = (x.level[:, 2] for x in (ten, quick, seven, best))
+    runs = pages[f"{ROW_COST}/runs"]
+    for text in (
+        f"PPO takes {table.interval(its)} s** to the level here",
+        f"{table.interval(fast)}: "
+        + "{:.2f} s more ({:.2f} to {:.2f})".format(*stats.difference(its, fast)),
+        "host takes {:.2f} s longer ({:.2f} to {:.2f})".format(*stats.difference(usual, its)),
+        "PPO {:.2f} times the seconds ({:.2f} to {:.2f})".format(*stats.ratio(its, usual)),
+        "for {:.1f} times the steps ({:.1f} to {:.1f})".format(
+            *stats.ratio(ten.level[:, 1], best.level[:, 1])
+        ),
+        "second takes {:.2f} s less ({:.2f} to {:.2f})".format(*stats.difference(its, mine)),
+        "PPO {:.2f} times ({:.2f} to {:.2f})".format(*stats.ratio(its, mine)),
+        "for {:.1f} times the steps ({:.1f} to {:.1f})".format(
+            *stats.ratio(ten.level[:, 1], quick.level[:, 1])
+        ),
+        f"PPO takes {ten.walks[:, 2].mean():.2f} s, and so does `best`",
+        "difference of {:.2f} s ({:.2f} to {:.2f})".format(
+            *stats.difference(best.walks[:, 2], ten.walks[:, 2])
+        ),
+    ):
+        assert text in runs, text
+    ms = table.cost(found, best)
+    here = table.at_cost(found, ten, ms)
+    walks = table.to_walk(best), [table.to_walk(ten)]
+    cells = (
+        table.even(best, [here], ms),
+        table.even(walks[0], [table.at_cost(found, walks[1][0], ms)], ms),
+        table.for_seconds(found, quick, [ten]).removeprefix("; for seconds "),
+    )
+    text = "it would be {}, to a walk {}, and with settings for seconds {}."
+    computed = " ".join((EXPERIMENTS / ROW_COST / "computed.md").read_text().split())
+    assert text.format(*cells).replace("0.5 (", "0.50 (") in computed
+    text = "ten seeds take {:.2f} s, {:.2f} times as long ({:.2f} to {:.2f})"
+    assert text.format(its.mean(), *stats.ratio(its, mine)) in pages[f"{ROW_COST}/README"]
+    text = f"take {table.interval(its)} s: " + "{:.2f} times as long as `best` ({:.2f} to {:.2f})"
+    assert text.format(*stats.ratio(its, usual)) in pages["25_humanoid/seconds"]
 
 
 def test_marks_of_rows_that_cost_nearly_the_same_stand_apart():
@@ -3059,6 +3240,19 @@ def test_seconds_where_a_row_costs_more_and_where_two_runs_break_even():
     assert table.beside([best, fast, few, other], best) == [other, few]
     assert table.beside([best, fast, later], best) == [fast]
     assert table.beside([best, later, few._replace(batch="H, day")], best) == [later]
+    # but that of `best` if it has five; of equals that of `best` for seconds; a single seed is no mean
+    five, ten = (np.concatenate([fast.level] * k) for k in (2, 4))
+    own, there = fast._replace(level=five), other._replace(level=ten)
+    assert table.beside([best, own, there], best) == [own]
+    one, two = (other._replace(batch=f"G, later, host {k}", level=five) for k in (1, 2))
+    quick = best._replace(method="best-r1", batch=one.batch)
+    for order in ([one, two], [two, one]):
+        assert table.beside([best, quick, *order], best) == [one]
+    assert table.variants([best, quick], best) == [best, quick]
+    assert table.host_beside(quick, best) == ", later, host 1"
+    assert table.host_beside(other, best) == ", second host" and not table.host_beside(fast, best)
+    single = fast._replace(level=fast.level[:1] * 0.1)
+    assert table.sparing([few, fast, single]) is few and table.sparing([single]) is single
     # settings for seconds: those on tuning seeds only until others have run on fresh ones, both by name
     tuned, chosen = run("tune-r1", 1024, 100, 1.5), run("best-r1", 1024, 100, 1.6)
     assert table.variants([*found, tuned], best) == [best, tuned]
@@ -3083,13 +3277,13 @@ def test_jobs_of_the_row_costs_are_valid_and_of_places_that_have_a_name():
     measure = script(f"{ROW_COST}/run")
     places = script(f"{ROW_COST}/plot").LABELS
     lines = (EXPERIMENTS / ROW_COST / "jobs.txt").read_text().splitlines()
-    assert len({line.split()[0] for line in lines}) == len(lines) == 47
+    assert len({line.split()[0] for line in lines}) == len(lines) == 49
     for line in lines:
         name, job, *fields = line.split()
         place, _, method = name.rpartition(".")
         read = measure.read(job, fields)
         assert place in places and (read.engine == "mujoco_warp") == place.endswith("warp")
-        assert 10 <= len(measure.ends(read.config)) <= 30
+        assert 10 <= len(measure.ends(read.config)) <= 36
         uses_model = schedule.uses_model(read.config)
         assert uses_model != method.startswith("ppo")
         assert read.seeds >= 5 or method.startswith("tune")
@@ -4161,6 +4355,7 @@ ROUGH_PAGES = {  # batches of 28_rough -> the page with a line of each of their 
     "one-commit-4": "tail",
     "one-commit-5": "robots",
     "one-commit-6": "robots",
+    "one-commit-7": "robots",
 }
 
 
@@ -4181,16 +4376,16 @@ def test_the_pages_of_rough_ground_have_the_tables_of_their_runs():
         for line in table.by_robot([*table.runs(kept)])[2:]:
             name = cells(line)[0]
             found += 1
-            ends = {"ppo": "-ppo-", "tail": "-blind-model"}
+            ends = {"ppo": "-ppo-", "tail": "-blind-model", "heights": "anc-"}
+            ends = ends if batch == "one-commit-7" else ends | {"heights": "none"}
             if line not in page[next((at for at, end in ends.items() if end in name), where)]:
                 missing.add(name)
     cut = "anc-cell5 anc-im2 anc-model512 anc-robots1536 anc-symmetry anymal_c-blind-model"
-    assert missing == {*cut.split()}  # cut off
-    assert found == 39 + len(missing)
-    early = [row for row in packed if row["batch"] == "fresh" and int(row["sim_steps"]) < 2.8e6]
-    lines = {cells(line)[0]: line for line in table.by_robot([*table.runs(early)])[2:]}
-    blind = [row for row in table.rows() if row["name"].endswith("-blind")]
-    assert {row["sim_steps"] for row in blind[2::3]} == {early[-1]["sim_steps"]} == {"2768896"}
+    assert missing == {*cut.split(), "go2-blind", "anymal_c-blind"}  # cut off, these two once
+    assert found == 41 + len(missing)
+    lines = {cells(line)[0]: line for line in table.by_robot(fresh)[2:]}
+    blind = [row for row in table.rows() if row["batch"] == "one-commit-7"]
+    blind = [row for row in blind if row["name"].endswith("-blind")]
     for line in table.by_robot([*table.runs(blind)])[2:]:
         robot = cells(line)[0].partition("-")[0]
         assert f"{line}\n{lines[f'{robot}-best']}\n" in page["robots"]
@@ -4383,15 +4578,57 @@ def test_the_pages_of_rough_ground_say_what_their_runs_say():
         for s in runs["anymal_c-blind-model"].values()
     ]
     assert "with {:.0f} and {:.0f} %; before it was {:.0f} and {:.0f} %".format(*told) in tail
+    # without a scan, and ANYmal-C with smaller steps
     robots = " ".join((folder / "robots.md").read_text().split())
-    text = "blind Go2 cross {:.0f} and {:.0f} % of all tiles, ten with a scan {:.0f} to {:.0f} %;"
-    text += " two ANYmal-C {:.0f} and {:.0f} %, ten with a scan {:.0f} to {:.0f} %"
-    told = []
-    for robot in ("go2", "anymal_c"):
-        told += [100 * float(s[2]["crossed"]) for s in of[f"{robot}-blind"].values()]
-        best = [100 * float(s[2]["crossed"]) for s in of[f"{robot}-best"].values()]
-        told += [min(best), max(best)]
-    assert text.format(*told) in robots
+    for row in rows:
+        if row["batch"] == "one-commit-7":
+            name = row["name"].replace("-blind", "-no-scan")
+            of.setdefault(name, {}).setdefault(row["seed"], []).append(row)
+    ends = {
+        name: [100 * float(s[-1]["crossed"]) for s in seeds.values()] for name, seeds in of.items()
+    }
+    told = {
+        robot: [*ends[f"{robot}-no-scan"], min(ends[f"{robot}-best"]), max(ends[f"{robot}-best"])]
+        for robot in ("go2", "anymal_c")
+    }
+    text = "cross {:.0f} and {:.0f} % of all tiles, ten with a scan {:.0f} to {:.0f} %"
+    assert text.format(*told["go2"]) in robots
+    text = "{:.0f} and {:.0f} % of all tiles, every one of ten with a scan more, {:.0f} to {:.0f}"
+    assert text.format(*told["anymal_c"]) in robots
+    p = stats.rank_sum(ends["anymal_c-no-scan"], ends["anymal_c-best"])
+    assert f"Whitney's p {p:.2f}" in robots
+    five = [ends[f"{robot}-known"] for robot in ("go2", "anymal_c")]
+    text = "cross {:.0f} to {:.0f} % (Go2) and {:.0f} to {:.0f} % (ANYmal-C); seeds 0 and 1 of them"
+    text += " {:.0f} and {:.0f}, and {:.0f} and {:.0f} %"
+    sides = [side(some) for some in five for side in (min, max)]
+    assert text.format(*sides, *(some[k] for some in five for k in (0, 1))) in robots
+    for text, robot, kind, row in (
+        ("of 0.17 m they climb {:.0f} instead of {:.0f} %", "go2", "pit_stairs", 6),
+        ("of 0.19 m {:.0f} instead of {:.0f}. - **An", "go2", "pit_stairs", 7),
+        ("stairs up of 0.19 m, {:.0f} instead of {:.0f} %", "anymal_c", "pit_stairs", 7),
+        ("of 0.23 m it goes in {:.0f} instead of {:.0f} %", "anymal_c", "pyramid_stairs", 9),
+    ):
+        pair = [100 * by_row(f"{robot}-{what}", kind)[row] for what in ("no-scan", "best")]
+        assert text.format(*pair) in robots, text
+    boxes = {
+        name: [100 * table.shares(s[-1])["boxes"] for s in of[name].values()]
+        for name in ("anymal_c-no-scan", "anymal_c-best", "anc-kl1", "anc-late200")
+    }
+    means = [np.mean(boxes[name]) for name in ("anymal_c-no-scan", "anymal_c-best")]
+    assert "boxes, {:.0f} instead of {:.0f} % in the middle rows".format(*means) in robots
+    text = "cross {:.0f} and {:.0f} % of these boxes, with the smaller one from iteration 200 on"
+    text += " instead of 350 (`anc-late200`) {:.0f} and {:.0f} %, ten with `best` {:.0f} to {:.0f}."
+    best = boxes["anymal_c-best"]
+    assert text.format(*boxes["anc-kl1"], *boxes["anc-late200"], min(best), max(best)) in heights
+    readme = " ".join((folder / "README.md").read_text().split())
+    text = "Smaller steps do not bring `best` there in 10 M: {:.0f} and {:.0f} %"
+    assert text.format(*(np.mean(boxes[name]) for name in ("anc-kl1", "anc-late200"))) in readme
+    means = [np.mean(ends[f"{x}-{y}"]) for x in ("go2", "anymal_c") for y in ("no-scan", "best")]
+    text = "two Go2 cross {0:.0f} % of all tiles, two ANYmal-C {2:.0f} %"
+    assert text.format(*means) in readme
+    text = "two Go2 crossed {:.0f} % of all tiles, where ten with it cross {:.0f}, and two ANYmal-C"
+    text = (text + " {:.0f}, where ten cross {:.0f}").format(*means)
+    assert text in " ".join((ROOT / "docs/terrain.md").read_text().split())
     assert "it climbs in 7 % at its end, with 4096 robots in 94 %; `best` in 49 %" in ppo
     for name, share in (("go2-ppo-1024", 7), ("go2-ppo-4096", 94), ("go2-best", 49)):
         assert 100 * by_row(name, "pit_stairs")[7] == pytest.approx(share, abs=0.51)
@@ -4444,12 +4681,14 @@ def test_what_a_rough_row_costs_is_as_the_page_says():
     folder = EXPERIMENTS / "28_rough"
     page = (folder / "time.md").read_text()
     assert kernels.table(paper.rows(folder / "results/kernels.csv")) in page
-    words = " ".join(page.split())
+    words, readme = (" ".join(text.split()) for text in (page, (folder / "README.md").read_text()))
     for name in ("bench", "bench_blind"):
         measured = json.loads((folder / f"results/{name}.json").read_text())["configs"]
         rough, flat = (measured[config]["ms"] for config in ("go2:rough", "go2"))
         row = rough["physics"], flat["physics"]
-        assert f"{row[0] / row[1]:.2f} times" in words
+        assert f"{row[0] / row[1]:.2f} times" in words and f"{row[0] / row[1]:.2f}" in readme
+        assert (row[0] / row[1] < 1.5) == (name == "bench_blind")  # the goal
+        assert {measured[config]["commit"] for config in measured} == {"a6010c447993-dirty"}
         assert "({:.3f} instead of {:.3f} ms)".format(*row) in words
     with_scan = json.loads((folder / "results/bench.json").read_text())["configs"]
     tails = (with_scan[config]["ms"]["tail"] for config in ("go2:rough", "go2"))

@@ -249,13 +249,25 @@ def settings(found: list[Run], place: str) -> tuple[Run, list[Run]] | None:
 
 def beside(some: list[Run], best: Run) -> list[Run]:
     """The settings of PPO on the kind of card and the day of `best`, else on that kind of card: of each the
-    host with most seeds, that of `best` where no other has more."""
-    ppos = [run for run in some if run.method.startswith("ppo") and day(run)[0] == day(best)[0]]
-    ppos = [run for run in ppos if day(run) == day(best)] or ppos
+    host of `best` if it has as many seeds as an interval needs, else that with most; of equals one on which
+    `best` with settings for seconds ran, too."""
+    ppos = near([run for run in some if run.method.startswith("ppo")], best)
+    quick = {run.batch for run in some if run.method.startswith("best-")}
+
+    def worth(run):
+        count = len(run.level)
+        return min(count, OFTEN), run.batch == best.batch, count, run.batch in quick
+
     found = {}
-    for run in sorted(ppos, key=lambda run: (len(run.level), run.batch == best.batch)):
+    for run in sorted(ppos, key=worth):
         found[run.method] = run
     return [*found.values()]
+
+
+def near(some: list[Run], best: Run) -> list[Run]:
+    """Those on the kind of card of `best`: of its day, or of all days if none is."""
+    some = [run for run in some if day(run)[0] == day(best)[0]]
+    return [run for run in some if day(run) == day(best)] or some
 
 
 def day(run: Run) -> list[str]:
@@ -263,13 +275,22 @@ def day(run: Run) -> list[str]:
     return run.batch.split(", ")[:2]
 
 
+def host_beside(run: Run, best: Run) -> str:
+    """What of its batch is not that of `best`: the host, and the day if it is another."""
+    if run.batch == best.batch:
+        return ""
+    same = 2 if day(run) == day(best) else 1
+    return "".join(f", {part}" for part in run.batch.split(", ")[same:])
+
+
 def variants(found: list[Run], best: Run) -> list[Run]:
-    """`best`, and its settings for seconds at the same place, on the same day and kind of card, with as many
-    seeds as say something; those that were tuned, `tune-`, only where none has run on fresh seeds."""
-    here = [run for run in found if run.place == best.place and day(run) == day(best)]
-    some = [run for run in here if len(run.level) >= MANY and np.isfinite(run.level).all()]
-    fresh = [run for run in some if run.method.startswith("best") and run.method != best.method]
-    return [best, *(fresh or [run for run in some if run.method.startswith(TUNING)])]
+    """`best`, and its settings for seconds at the same place, on the same kind of card and day (else on
+    others), with as many seeds as say something; those that were tuned, `tune-`, only where none has run on
+    fresh seeds."""
+    here = [run for run in found if run.place == best.place and len(run.level) >= MANY]
+    some = [run for run in here if np.isfinite(run.level).all()]
+    fresh = near([run for run in some if run.method.startswith("best-")], best)
+    return [best, *(fresh or near([run for run in some if run.method.startswith(TUNING)], best))]
 
 
 def fastest(some: list[Run]) -> Run:
@@ -279,8 +300,9 @@ def fastest(some: list[Run]) -> Run:
 
 
 def sparing(some: list[Run]) -> Run:
-    """With the fewest simulator steps in the mean."""
-    return min(some, key=lambda run: run.level[:, 1].mean())
+    """With the fewest simulator steps in the mean, of those with two seeds or more, if there are any."""
+    several = [run for run in some if len(run.level) > 1]
+    return min(several or some, key=lambda run: run.level[:, 1].mean())
 
 
 def break_even(
@@ -352,7 +374,7 @@ def compared(found: list[Run]) -> str:
         quick = fastest(variants(found, best))
         cells = [place, f"{ms:.3g}", interval(times[1])]
         named = quick.method + ", tuning seeds" * quick.method.startswith(TUNING)
-        named += quick.batch.removeprefix(best.batch)
+        named += host_beside(quick, best)
         cells += ["-" if quick is best else f"{interval(quick.level[:, 2])} ({named})"]
         cells += [f"{interval(times[0])} ({fast.method})"]
         cells += [ratio(*times), f"{ratio(*steps)} ({few.method})"]
