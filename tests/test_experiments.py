@@ -1444,6 +1444,29 @@ def test_learning_rates_beside_ppo16s_are_geometric_means_with_welchs_p():
     assert words.format(**shares) + "{go1:.0f} and {go2:.2f})".format(**holm) in page
 
 
+@pytest.mark.parametrize(
+    "path", ["21_less/ppo_grid.txt", "21_less/ppo_others.txt", "23_untuned/ppo.txt"]
+)
+def test_jobs_that_tune_ppo_are_valid_plain_ppo_of_their_names(path, monkeypatch):
+    """No model writes a row; robots and KL are those of the name; seeds are not the fresh ones."""
+    monkeypatch.chdir((EXPERIMENTS / path).parent)
+    names = set()
+    for line in (EXPERIMENTS / path).read_text().splitlines():
+        name, job, *fields = line.split()
+        robot, _, variant = job.partition(":")
+        config = config_lib.load(f"configs/{robot}.py:{variant}")
+        for field in fields:
+            config_lib.override(config, *field.split("=", 1))
+        config = config_lib.validate(config)
+        assert not schedule.uses_model(config) and config.run.seed == 0
+        assert f"-{config.rollout.num_envs}-" in f"{name}-" and name not in names
+        if "-kl" in name:
+            assert f"kl{round(100 * config.ppo.desired_kl)}" in name
+        assert len(schedule.sim_steps(config)) % config.run.eval_every == 0
+        names.add(name)
+    assert len(names) >= 8
+
+
 def test_times_of_table_i_are_measured_once_a_cell_and_beside_the_papers(
     tmp_path, monkeypatch, capsys
 ):
