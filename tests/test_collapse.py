@@ -15,7 +15,7 @@ from dynappo import algorithm, config, fast
 from dynappo.config import splitting
 from dynappo.description import robot as robot_lib
 from dynappo.learner import networks
-from dynappo.model import examples
+from dynappo.model import dynamics, examples
 from dynappo.tasks.velocity import env as env_lib
 from dynappo.tasks.velocity import observe
 
@@ -78,27 +78,48 @@ def test_without_a_mask_the_model_learns_the_way_into_the_next_episode(toy):
     )
 
 
-def test_the_last_value_is_that_of_the_last_observation_of_physics(toy):
+def test_the_last_value_is_that_of_where_the_tail_began(toy):
+    """The simulator's own observation: of a new episode, where the last real row ended one."""
     env, static, hyper, state, rows = toy
     real = (jnp.arange(8) < REAL)[:, None]
     whole = rows.replace(discount=jnp.ones_like(rows.discount), truncation=0 * rows.truncation)
+    whole = whole.replace(obs=whole.obs.at[REAL, 0].set(2.0), prop=whole.prop.at[REAL, 0].set(2.0))
     params = state.learner.params
-    found = jax.jit(partial(controls.bootstrap_real, static, hyper, env))(
-        rows=whole, real=real, params=params
+    one, shipped = (
+        jax.jit(partial(f, static, hyper, env))
+        for f in (controls.bootstrap_real, algorithm.estimate)
     )
-    _, seen = networks.inputs(static, env, whole.next_obs[REAL - 1], whole.next_prop[REAL - 1])
+    found = one(rows=whole, real=real, params=params)
+    _, seen = networks.inputs(static, env, whole.obs[REAL], whole.prop[REAL])
     with jax.default_matmul_precision("highest"):
         behind = networks.value(static, params, seen)
     np.testing.assert_allclose(
         found.returns[-1], whole.reward[-1] + hyper.ppo.gamma * behind, rtol=1e-4, atol=1e-5
     )
-    same = jax.jit(partial(controls.bootstrap_real, static, hyper, env))(
-        rows=whole, real=real | True, params=params
-    )
-    shipped = jax.jit(partial(algorithm.estimate, static, hyper, env))(
-        rows=whole, real=real | True, params=params
-    )
-    np.testing.assert_allclose(same.returns, shipped.returns, rtol=1e-4, atol=1e-6)
+    every = dict(rows=whole, real=real | True, params=params)
+    np.testing.assert_allclose(one(**every).returns, shipped(**every).returns, rtol=1e-4, atol=1e-6)
+
+
+def test_a_tail_begins_some_steps_of_the_model_behind_the_real_state(toy):
+    """`burn4`: the first imagined row begins where four steps of the model lead; real rows stay, and learn
+    nothing from behind the last of them."""
+    env, static, hyper, state, rows = toy
+    key, n_real = jax.random.key(3), jnp.int32(REAL)
+    start = dynamics.tail(static, env, state.env_state)
+    given = dict(rows=rows, n_real=n_real, start=start, key=key)
+    burnt = jax.jit(partial(controls.burnt, 4, env, static=static))(hyper, state, **given)
+    _, after = controls.model_rows(static, hyper, env, state, start=start, begin=0, end=4, key=key)
+    np.testing.assert_allclose(burnt.obs[REAL], after.obs, atol=1e-5)
+    assert abs(burnt.obs[REAL] - start.obs).max() > 1e-2
+    np.testing.assert_array_equal(burnt.obs[:REAL], rows.obs[:REAL])
+    real, live = (jnp.arange(8) < REAL)[:, None], dict(discount=jnp.ones_like(rows.discount))
+    calm = rows.replace(truncation=0 * rows.truncation, **live)
+    params = state.learner.params
+    cut = jax.jit(partial(controls.cut_behind_real, static, hyper, env))
+    loud = calm.replace(reward=jnp.where(real, calm.reward, 1e3))
+    one, other = (cut(rows=x, real=real, params=params) for x in (calm, loud))
+    np.testing.assert_array_equal(one.advantages[:REAL], other.advantages[:REAL])
+    assert (other.advantages[REAL:] > 100).all()
 
 
 @pytest.fixture(scope="module")
@@ -142,6 +163,31 @@ def test_a_robot_arrives_where_the_model_left_it(go1):
         heights.append(min(data.geom_xpos[feet, 2] - model.geom_size[feet, 0]))
     assert heights[0] == pytest.approx(heights[1], abs=1e-5)
     assert (there.last_action == 1).all() and (there.older_action == 0).all()
+
+
+def test_a_robot_that_is_made_anew_where_it_is_is_the_same(go1):
+    """`rebuilt` of a robot in motion; one whose numbers are not finite stays as it was."""
+    env, hyper, body, (start, end) = go1
+    rng = np.random.default_rng(1)
+    quat = jnp.array([0.9, 0.1, -0.2, 0.3]) / jnp.linalg.norm(jnp.array([0.9, 0.1, -0.2, 0.3]))
+    moving = end.replace(
+        qpos=end.qpos.at[3:7].set(quat).at[7:].add(0.2 * rng.normal(size=12)),
+        qvel=jnp.asarray(rng.normal(size=18), jnp.float32),
+    )
+    (const,) = env.step.args
+    exact = controls.view.exact(const.view, const.robot, hyper, body, moving)
+    moving = moving.replace(prop=exact[: env.prop_size], obs=exact)
+    again = controls.arrived(
+        *(env, hyper, body, moving, moving.obs, moving.prop),
+        *(moving.last_action, moving.older_action),
+    )
+    np.testing.assert_allclose(again.qpos, moving.qpos, atol=1e-5)
+    np.testing.assert_allclose(again.qvel, moving.qvel, atol=1e-5)
+    both = jax.tree.map(lambda *x: jnp.stack(x), moving, start)
+    broken = both.replace(qvel=both.qvel.at[1, 3].set(jnp.nan))
+    assert list(controls.finite(broken)) == [True, False]
+    chosen = controls.choose(controls.finite(broken), broken, both)
+    np.testing.assert_array_equal(chosen.qvel, both.qvel)
 
 
 def test_the_jobs_are_valid_and_on_the_page():

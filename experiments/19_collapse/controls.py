@@ -5,11 +5,15 @@
 - `cold`: each fit begins with new weights; the running moments stay
 - `unmasked`: the model learns across resets. The next observation of a row is what the buffer has in the
   row after it, of a new episode where the robot fell
-- `bootstrap-real`: the value behind a rollout's last row is that of the last *observation of physics*, which
-  is what the simulator's own `obs` is then, and not that of where the tail ended
-- `unanchored`: the next iteration goes on where the model left the robots. After an iteration all take
-  N_s steps in the model, and physics begins in the states that these reach. So an error of the model stays,
-  and the next one comes on top: the opposite of the paper's anchoring. Flat ground, without a motor's lag
+- `bootstrap-real`: the value behind a rollout's last row is that of what the *simulator* observes then, the
+  state in which the tail began, and not that of where it ended
+- `unanchored`: the next iteration goes on where the model leaves the robots. After an iteration all take N_s
+  steps more in the model, by the updated policy, and physics begins in the states that these reach. Robots
+  for which these are not finite stay where they are. Flat ground, without a motor's lag
+- `rebuilt`: the same without a model: physics begins in states that are made from what the robots are. What
+  `unanchored` does beyond this is the model's
+- `burn4`, `burn16`, `burn64`: a tail begins so many steps of the model behind the real state, in which it has
+  errors by then. The robots stay physics'; the last real row is bootstrapped by the value of its `next_obs`
 """
 
 from functools import partial
@@ -23,14 +27,14 @@ from dynappo.learner import networks, symmetry
 from dynappo.model import dynamics, examples
 from dynappo.tasks.velocity import observe, view
 
-COLD, ONWARD = 6, 77  # folded into keys of the fit, and of an iteration (algorithm.py has less)
+COLD, ONWARD = (
+    1 << 30,
+    1 << 29,
+)  # folded into keys of the fit and of an iteration, where nothing else is
+BURNS = 4, 16, 64
 
-_examples, _estimate, _iterate, _fit = (
-    examples.examples,
-    algorithm.estimate,
-    algorithm.iterate,
-    fast.fit,
-)
+_examples, _fit = examples.examples, fast.fit
+_estimate, _imagine, _iterate = algorithm.estimate, algorithm.imagine, algorithm.iterate
 
 
 def cold(static, hyper, model, rows, epochs, key, *, mirrors=None, **given):
@@ -56,12 +60,14 @@ def unmasked(static, hyper, env, rows, n_real):
 
 
 def bootstrap_real(static, hyper, env, *, rows, real, **given):
-    """`algorithm.estimate`, whose last value is that of the last real row's `next_obs`."""
-    last = real.sum() - 1
-    behind = {
-        name: getattr(rows, name).at[-1].set(getattr(rows, name)[last])
-        for name in ("next_obs", "next_prop")
-    }
+    """`algorithm.estimate`, whose last value is that of the state behind the last real row: of a new episode
+    where that row ended one. (Of the first round: in later ones tails begin elsewhere.)"""
+    n_real, n = real.sum(), len(rows.reward)
+    behind = {}
+    for name in ("obs", "prop"):
+        began, ended = getattr(rows, name), getattr(rows, f"next_{name}")
+        now = jnp.where(n_real < n, began[jnp.minimum(n_real, n - 1)], ended[-1])
+        behind[f"next_{name}"] = ended.at[-1].set(now)
     return _estimate(static, hyper, env, rows=rows.replace(**behind), real=real, **given)
 
 
@@ -71,22 +77,76 @@ def unanchored(env, hyper, state, counts, *, static):
     if state.model is None:
         return state, metrics
     horizon, robots = static.rollout.horizon, state.env_state
-    key = jax.random.fold_in(jax.random.fold_in(state.key, counts["iteration"]), ONWARD)
-    rows, end, _ = fast.fill(
-        rollout.allocate(env, horizon, static.rollout.num_envs),
-        begin=counts["n_real"],
-        end=jnp.int32(horizon),
-        state=dynamics.tail(static, env, robots),
-        keys=rollout.row_keys(key, state.robot_index),
+    start = dynamics.tail(static, env, robots)
+    key = jax.random.fold_in(state.key, counts["iteration"])
+    rows, end = model_rows(
+        static, hyper, env, state, start=start, begin=counts["n_real"], end=horizon, key=key
+    )
+    older = jnp.where(counts["n_real"] < horizon - 1, rows.action[-2], robots.last_action)
+    there = jax.vmap(partial(arrived, env, hyper))(
+        state.params_physics, robots, end.obs, end.prop, rows.action[-1], older
+    )
+    moved = (counts["n_real"] < horizon) & finite(there)
+    return state.replace(env_state=choose(moved, there, robots)), metrics
+
+
+def rebuilt(env, hyper, state, counts, *, static):
+    """`algorithm.iterate`, and the robots are made anew where they are, in iterations with a tail."""
+    state, metrics = _iterate(env, hyper, state, counts, static=static)
+    robots = state.env_state
+    there = jax.vmap(partial(arrived, env, hyper))(
+        state.params_physics,
+        robots,
+        robots.obs,
+        robots.prop,
+        robots.last_action,
+        robots.older_action,
+    )
+    moved = (counts["n_real"] < static.rollout.horizon) & finite(there)
+    return state.replace(env_state=choose(moved, there, robots)), metrics
+
+
+def model_rows(static, hyper, env, state, *, start, begin, end: int, key):
+    """`(rows, where they end)`: the model's rows `begin <= t < end`, from each robot's `start`."""
+    rows, after, _ = fast.fill(
+        rollout.allocate(env, end, static.rollout.num_envs),
+        begin=jnp.int32(begin),
+        end=jnp.int32(end),
+        state=start,
+        keys=rollout.row_keys(jax.random.fold_in(key, ONWARD), state.robot_index),
         act=algorithm.policy(static, env, state.learner.params),
         step=fast.step(static, hyper, env, state.model),
     )
-    there = jax.vmap(partial(arrived, env, hyper))(
-        state.params_physics, robots, end.obs, end.prop, rows.action[-1], rows.action[-2]
-    )
-    moved = counts["n_real"] < horizon
-    robots = jax.tree.map(lambda new, old: jnp.where(moved, new, old), there, robots)
-    return state.replace(env_state=robots), metrics
+    return rows, after
+
+
+def finite(robots):
+    """[R]: whether all numbers of a robot are."""
+    each = [jnp.isfinite(x).reshape(len(x), -1).all(-1) for x in jax.tree.leaves(robots)]
+    return jnp.stack(each).all(0)
+
+
+def choose(which, one, other):
+    """`one` of the robots in `which` [R], `other` of the rest."""
+
+    def pick(a, b):
+        return jnp.where(which.reshape(-1, *[1] * (a.ndim - 1)), a, b)
+
+    return jax.tree.map(pick, one, other)
+
+
+def burnt(count, env, hyper, state, rows, n_real, start, key, *, static):
+    """`algorithm.imagine`, from where `count` steps of the model take each `start`."""
+    _, start = model_rows(static, hyper, env, state, start=start, begin=0, end=count, key=key)
+    given = dict(rows=rows, n_real=n_real, start=start, key=key, static=static)
+    return _imagine(env, hyper, state, **given)
+
+
+def cut_behind_real(static, hyper, env, *, rows, real, **given):
+    """`algorithm.estimate`, where no advantage comes from a tail to a real row."""
+    last = real & ~jnp.roll(real, -1, axis=0).at[-1].set(False)
+    cut = jnp.where(last & (rows.discount > 0), 1.0, rows.truncation)
+    return _estimate(static, hyper, env, rows=rows.replace(truncation=cut), real=real, **given)
 
 
 def arrived(env, hyper, body, state, obs, prop, action, older):
@@ -143,4 +203,12 @@ CONTROLS = {
     "unmasked": [(examples, "examples", unmasked)],
     "bootstrap-real": [(algorithm, "estimate", bootstrap_real)],
     "unanchored": [(algorithm, "iterate", unanchored)],
+    "rebuilt": [(algorithm, "iterate", rebuilt)],
+    **{
+        f"burn{count}": [
+            (algorithm, "imagine", partial(burnt, count)),
+            (algorithm, "estimate", cut_behind_real),
+        ]
+        for count in BURNS
+    },
 }

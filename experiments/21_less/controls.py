@@ -19,7 +19,7 @@ Ideas of other model-based methods (27_few):
 - `real-again`: PPO learns from the real rows in every round, not in the first alone
 
 What the paper claims, and others may do (19_collapse/controls.py): `cold`, `unmasked`, `bootstrap-real`,
-`unanchored`
+`unanchored`, `rebuilt`, `burn4`, `burn16`, `burn64`
 """
 
 import importlib
