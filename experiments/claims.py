@@ -285,7 +285,7 @@ STATED = {  # name -> where, and the words
         (ROW_COST, "and after {:.1f} with PPO on the same card"),
     ],
     "go2 seconds to its level, rough ground, with settings for seconds": [
-        ("README.md", "and {:.1f} on rough ground (three of five stay"),
+        ("README.md", "and {:.1f} on rough ground (evaluated seven times"),
         ("docs/speed.md", "is first at its level after {:.1f} s and 10.5 M steps"),
         ("docs/results.md", "settings for seconds `best` takes {:.1f} on that card"),
         ("docs/speed.md", "with settings for seconds `best` takes {:.1f} s there"),

@@ -22,7 +22,7 @@ PANELS = (  # of a row of the page: x, y, title
     ("iteration", "policy_std", "policy std (fig. 8)"),
     ("iteration", "learning_rate", "learning rate (fig. 10)"),
 )
-WINDOWS = {"early": (1, 100), "end": (461, 500)}  # iterations; early: while the tail's ramp lasts
+WINDOWS = {"early": (1, 100), "end": (461, 500)}  # iterations; early: the ramp of `dyna4`
 METRICS = ("episode_return", "policy_std", "learning_rate", "velocity_error")
 
 
