@@ -1,6 +1,8 @@
 """19_collapse: each control does what its line says, and nothing else."""
 
+import csv
 import importlib
+import lzma
 from functools import partial
 from pathlib import Path
 
@@ -18,6 +20,7 @@ from dynappo.learner import networks
 from dynappo.model import dynamics, examples
 from dynappo.tasks.velocity import env as env_lib
 from dynappo.tasks.velocity import observe
+from experiments import stats
 
 controls = importlib.import_module("experiments.19_collapse.controls")
 HERE = Path(__file__).parents[1] / "experiments/19_collapse"
@@ -209,3 +212,42 @@ def test_the_jobs_are_valid_and_on_the_page():
         assert any(f"`{x}" in page for x in shown) or kind == "ppo16", name
         assert (job, *sorted(fields)) not in seen
         seen.add((job, *sorted(fields)))
+
+
+def test_the_page_has_what_the_runs_without_anchors_had():
+    """Each cell; and the means from iteration 200 to 350, with Welch's interval."""
+    page = (HERE / "README.md").read_text()
+    runs = {}
+    with lzma.open(HERE / "results/laptop.csv.xz", "rt", newline="") as file:
+        for row in csv.DictReader(file):
+            runs.setdefault(row["name"].removeprefix("laptop-"), []).append(row)
+    part = page.split("### On two CPU cores")[1]
+    for name, rows in runs.items():
+        (line,) = (x for x in part.splitlines() if x.replace("`", "").startswith(f"| {name} |"))
+        cells = [cell.strip() for cell in line.split("|")[2:-1]]
+        for at, cell in zip(range(50, 401, 50), cells, strict=True):
+            some = [row for row in rows if int(row["iteration"]) == at]
+            assert len(some) == 3
+            back, falls = (np.mean([float(r[x]) for r in some]) for x in ("return", "fall_rate"))
+            assert cell == f"{back:.1f}, {100 * falls:.0f} %", (name, at)
+
+    def means(name, column):
+        some = [row for row in runs[name] if 200 <= int(row["iteration"]) <= 350]
+        each = {}
+        for row in some:
+            each.setdefault(row["seed"], []).append(float(row[column]))
+        return [np.mean(x) for x in each.values()]
+
+    words = " ".join(part.split())
+    one, other = means("unanchored", "return"), means("rebuilt", "return")
+    less, low, high = stats.difference(one, other)
+    low_one, middle, high_one = (f"{x:.1f}" for x in sorted(one))
+    every = other + means("anchored", "return")
+    told = (
+        f"their seeds have {low_one}, {middle} and {high_one}, those with anchors or made anew"
+        f" {min(every):.1f} to {max(every):.1f}: {-less:.1f} less than `rebuilt` ({low:.1f} to"
+        f" {high:.1f} more, p {stats.welch_of(one, other):.2f})"
+    )
+    assert told in words
+    falls = [100 * np.mean(means(x, "fall_rate")) for x in ("unanchored", "rebuilt")]
+    assert "{:.0f} % instead of {:.0f} %".format(*falls) in words
