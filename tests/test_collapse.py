@@ -245,7 +245,7 @@ def test_the_page_has_what_the_runs_without_anchors_had():
     every = other + means("anchored", "return")
     told = (
         f"their seeds have {low_one}, {middle} and {high_one}, those with anchors or made anew"
-        f" {min(every):.1f} to {max(every):.1f}: {-less:.1f} less than `rebuilt` ({low:.1f} to"
+        f" {min(every):.1f} to {max(every):.1f}: {-less:.1f} less than `rebuilt` ({-low:.1f} less to"
         f" {high:.1f} more, p {stats.welch_of(one, other):.2f})"
     )
     assert told in words
