@@ -1467,9 +1467,7 @@ def test_jobs_that_tune_ppo_are_valid_plain_ppo_of_their_names(path, monkeypatch
     assert len(names) >= 8
 
 
-def test_times_of_table_i_are_measured_once_a_cell_and_beside_the_papers(
-    tmp_path, monkeypatch, capsys
-):
+def test_times_of_table_i_are_measured_once_a_cell_and_beside_the_papers(tmp_path, monkeypatch):
     """Two cells of three are there: only the third is measured. Minutes are the paper's."""
     times, path = script("10_ablation/times"), tmp_path / "times.csv"
     path.write_text("envs,horizon,ms,device,commit\n512,12,4,GPU,a\n8192,32,40,GPU,a\n")
@@ -1479,13 +1477,12 @@ def test_times_of_table_i_are_measured_once_a_cell_and_beside_the_papers(
     monkeypatch.setattr(times, "iteration", lambda _: 12.5)
     times.measure(path, [(512, 12), (4096, 16), (8192, 32)])
     assert asked == ["go1:ppo16:rollout.num_envs=4096:rollout.horizon=16"]
-    rows = times.read(path)
-    assert [row["ms"] for row in rows] == ["4", "40", "12.5"]
-    minutes = times.paper_times()
-    times.table(rows, minutes)
-    out = capsys.readouterr().out
+    rows = paper.rows(path)
+    assert [row["ms"] for row in rows] == [4, 40, 12.5]
+    out = times.table(rows)
     for line in ("| R = 512 | 2.00 / 3.1 |", "| R = 4096 |  | 6.25 / 4.9 |", " | 20.00 / 12.3 |"):
         assert line in out
+    minutes = {(r["envs"], r["horizon"]): r["time_min"] for r in paper.table("ablation")}
     both = np.log([[2, 20, 6.25], [minutes[512, 12], minutes[8192, 32], minutes[4096, 16]]])
     assert f"3 cells: {np.corrcoef(both)[0, 1]:.3f}" in out
 

@@ -7,7 +7,6 @@ Of each cell the program of plot.py's job, `CHUNK` iterations after as many that
 `REPEATS`. A row of times.csv as soon as it is there; those that are there are not measured again.
 """
 
-import csv
 import time
 from pathlib import Path
 
@@ -17,6 +16,7 @@ import plot
 
 from dynappo.config import versions
 from dynappo.program import build, devices
+from dynappo.run import log
 from experiments import paper, run
 
 HERE = Path(__file__).parent
@@ -26,30 +26,26 @@ SETTINGS = ("run.eval_envs=0", "run.checkpoint_every=0", f"run.log_every={CHUNK}
 
 def main():
     parser = paper.parser(__doc__)
-    parser.add_argument("--table", action="store_true")
+    parser.add_argument("--table", action="store_true", help="measure nothing")
     parser.add_argument("--out", type=Path, default=HERE / "times.csv")
     args = parser.parse_args()
     if not args.table:
         devices.own_process()
         measure(args.out, plot.GRID)
-    table(read(args.out), paper_times())
+    print(table(paper.rows(args.out)))
 
 
 def measure(out: Path, grid, settings=SETTINGS) -> None:
     """Add the rows that are missing."""
-    rows = read(out) if out.exists() else []
+    there = {(row["envs"], row["horizon"]) for row in paper.rows(out)}
     for envs, horizon in grid:
-        if (envs, horizon) in {(int(row["envs"]), int(row["horizon"])) for row in rows}:
+        if (envs, horizon) in there:
             continue
         program = build.program(run.configure(plot.job(envs, horizon), 1, settings))
-        ms = iteration(program)
-        about = {"device": program.device, "commit": versions.commit()}
-        rows.append({"envs": envs, "horizon": horizon, "ms": f"{ms:.4g}"} | about)
-        print(*rows[-1].values(), flush=True)
-        with out.open("w", newline="") as file:
-            writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(rows)
+        row = {"envs": envs, "horizon": horizon, "ms": f"{iteration(program):.4g}"}
+        row |= {"device": program.device, "commit": versions.commit()}
+        log.append_csv(out, [row])
+        print(*row.values(), flush=True)
 
 
 def iteration(program) -> float:
@@ -63,38 +59,25 @@ def iteration(program) -> float:
     return float(np.median(took[1:]))
 
 
-def read(path: Path) -> list[dict]:
-    with path.open(newline="") as file:
-        return [*csv.DictReader(file)]
-
-
-def paper_times() -> dict[tuple[int, int], float]:
-    """Minutes of the paper's cells."""
-    rows = read(HERE.parent / "paper/ablation.csv")
-    return {(int(row["envs"]), int(row["horizon"])): float(row["time_min"]) for row in rows}
-
-
-def table(rows: list[dict], minutes: dict[tuple[int, int], float]) -> None:
-    """Seconds of 500 iterations beside the paper's minutes; how much both grow; the correlation of cells."""
-    own = {
-        (int(row["envs"]), int(row["horizon"])): float(row["ms"]) * ITERATIONS / 1e3 for row in rows
-    }
-    print(
-        "| seconds here / minutes in the paper | "
-        + " | ".join(f"N = {n}" for n in plot.HORIZONS)
-        + " |"
+def table(rows: list[dict]) -> str:
+    """Seconds of 500 iterations beside the paper's minutes, and how the two go together over all cells."""
+    own, minutes = (
+        {(row["envs"], row["horizon"]): row[name] for row in some}
+        for some, name in ((rows, "ms"), (paper.table("ablation"), "time_min"))
     )
-    print("|---" * (1 + len(plot.HORIZONS)) + "|")
-    for envs in plot.ENVS:
-        cells = [
-            f"{own[envs, n]:.2f} / {minutes[envs, n]:.1f}" if (envs, n) in own else ""
-            for n in plot.HORIZONS
-        ]
-        print(f"| R = {envs} | " + " | ".join(cells) + " |")
     both = [cell for cell in own if cell in minutes]
+
+    def cell(envs, n):
+        seconds = ITERATIONS / 1e3 * own.get((envs, n), np.nan)
+        return f"{seconds:.2f} / {minutes[envs, n]:.1f}" if (envs, n) in own else ""
+
+    head = ["seconds here / minutes in the paper", *(f"N = {n}" for n in plot.HORIZONS)]
+    lines = [[f"R = {envs}", *(cell(envs, n) for n in plot.HORIZONS)] for envs in plot.ENVS]
+    text = paper.markdown(head, lines)
     if len(both) > 2:
         logs = np.log([[of[cell] for cell in both] for of in (own, minutes)])
-        print(f"correlation of logarithms over {len(both)} cells: {np.corrcoef(logs)[0, 1]:.3f}")
+        text += f"\ncorrelation of logarithms over {len(both)} cells: {np.corrcoef(logs)[0, 1]:.3f}"
+    return text
 
 
 if __name__ == "__main__":

@@ -27,10 +27,8 @@ from dynappo.learner import networks, symmetry
 from dynappo.model import dynamics, examples
 from dynappo.tasks.velocity import observe, view
 
-COLD, ONWARD = (
-    1 << 30,
-    1 << 29,
-)  # folded into keys of the fit and of an iteration, where nothing else is
+# folded into keys of the fit and of an iteration: larger than all else that is folded there
+COLD, ONWARD = 1 << 30, 1 << 29
 BURNS = 4, 16, 64
 
 _examples, _fit = examples.examples, fast.fit
