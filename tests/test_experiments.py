@@ -1467,6 +1467,38 @@ def test_jobs_that_tune_ppo_are_valid_plain_ppo_of_their_names(path, monkeypatch
     assert len(names) >= 8
 
 
+def test_best_setting_is_the_one_that_walks_soonest_and_never_counts_twice(tmp_path, monkeypatch):
+    """Setting `a` walks at 2 M and never (of 3 M): (2 + 6) / 2; `b` at 3 M twice. `c` is another robot's. The
+    chosen settings have the fresh seeds, and a job that has not run is named."""
+    choose = script("21_less/choose")
+    good, bad = {"return": 40, "fall_rate": 0}, {"return": 40, "fall_rate": 0.5}
+    fields = "run.seed=0 run.num_seeds=2 run.eval_every=20 run.eval_envs=200"
+    jobs = {
+        "a": f"go1:best {fields} ppo.gamma=0.9",
+        "b": f"go1:best {fields}",
+        "c": f"go2:best {fields}",
+    }
+    walked = {"a": (2, 4), "b": (3, 3), "c": (1, 1)}  # first M steps with few falls, of 3
+    path, fresh = tmp_path / "jobs.txt", tmp_path / "fresh.txt"
+    path.write_text("".join(f"{name} {job}\n" for name, job in jobs.items()))
+    monkeypatch.setattr(sys, "argv", ["choose.py", *map(str, (tmp_path, path, fresh))])
+    for name, firsts in walked.items():
+        with pytest.raises(SystemExit, match=f"lacks .*{name}"):
+            choose.main()
+        rows = [
+            {"job": jobs[name], "seed": seed, "iteration": m, "sim_steps": m * 1e6}
+            | (good if m >= at else bad)
+            for seed, at in enumerate(firsts)
+            for m in (1, 2, 3)
+        ]
+        script("21_less/run").write(tmp_path / f"{name}.csv", rows)
+    choose.main()
+    lines = [line.split() for line in fresh.read_text().splitlines()]
+    assert [line[:2] for line in lines] == [["best-b", "go1:best"], ["best-c", "go2:best"]]
+    expected = {"run.seed=1200", "run.num_seeds=10", "run.eval_every=10", "run.eval_envs=1000"}
+    assert all(set(line[2:]) == expected for line in lines)
+
+
 def test_times_of_table_i_are_measured_once_a_cell_and_beside_the_papers(tmp_path, monkeypatch):
     """Two cells of three are there: only the third is measured. Minutes are the paper's."""
     times, path = script("10_ablation/times"), tmp_path / "times.csv"
