@@ -1740,6 +1740,74 @@ def test_how_many_few_robots_need_which_steps_is_as_the_page_says():
     assert "(`best-memory`: {:.1f} k, ANYmal-C {:.1f} instead of {:.1f} k)".format(*memory) in text
 
 
+def test_what_anchors_are_worth_with_few_robots_is_as_the_page_says():
+    """The rule was written before: pairs of fresh seeds, walks, and one and four robots."""
+    page = (EXPERIMENTS / "27_few/README.md").read_text()
+    part = (EXPERIMENTS / "27_few/parts.md").read_text().split("## Without anchors")[1]
+    words = " ".join(part.split())
+    few, rows = (
+        script("27_few/table"),
+        {cells(x)[0]: cells(x)[1:] for x in part.splitlines() if "|" in x},
+    )
+    names = {"Go1": "g", "Go2": "h", "ANYmal-C": "c", "ANYmal-D": "d"}
+    pairs, walk = [], [0, 0]
+    for robot, letter in names.items():
+        told = few.line(
+            "",
+            few.runs.seeds(few_jobs("anchors")[f"fresh-anchors-{letter}"]),
+            [10.0, 15.0, 20.0, 27.0, 43.0],
+        )
+        assert rows[robot] == told[1][1:]
+        (with_seeds, with_), (seeds, without) = (
+            few_of(batch, f"{name}-{letter}")
+            for batch, name in (("feet", "fresh"), ("anchors", "fresh-anchors"))
+        )
+        assert [run[0]["seed"] for run in seeds] == [run[0]["seed"] for run in with_seeds]
+        pairs.extend((without.level - with_.level) / 1e3)
+        walk = [n + np.isfinite(x.walks).sum() for n, x in zip(walk, (without, with_), strict=True)]
+    mean, p = np.mean(pairs), scipy.stats.ttest_1samp(pairs, 0).pvalue
+    half = scipy.stats.t.ppf(0.975, 29) * np.std(pairs, ddof=1) / 30**0.5
+    told = f"{mean:.1f} k steps later without anchors (95 % from {half - mean:.1f} sooner"
+    told += f" to {mean + half:.1f} later, p {p:.2f})"
+    assert f"{told}, so 1.5 k are not left out" in words and mean + half > 1.5
+    assert f"{walk[0]} of 30 seeds walk, with anchors {walk[1]}." in words
+
+    def level(name, letter):
+        batch = {"robots-1": "parts-2", "robots-4": "one-commit"}.get(name, "robots-2")
+        return few_of(batch, f"{name}-{letter}")[1].level / 1e3
+
+    free, mine = level("free-robots-1", "c"), level("robots-1", "c")
+    more = "{:.1f} k more, {:.1f} to {:.1f}".format(*stats.difference(free, mine))
+    assert f"{free.mean():.1f} instead of {mine.mean():.1f} k steps ({more})" in words.replace(
+        "k  m", "k m"
+    )
+    free, mine = level("free-robots-1", "g"), level("robots-1", "g")
+    assert stats.difference(free, mine).low < 0
+    assert f"shown, {free.mean():.1f} and {mine.mean():.1f} k" in words
+    free, mine = level("free-robots-4", "c"), level("robots-4", "c")
+    assert np.isnan(free).sum() == 1
+    assert (
+        f"after {np.nanmean(free):.1f} k, with anchors all three after {mine.mean():.1f}" in words
+    )
+    free, mine = level("free-robots-4", "g"), level("robots-4", "g")
+    assert f"Go1: {free.mean():.1f} and {mine.mean():.1f} k" in words
+    bound = [few_of("robots-2", f"bound50-robots-1-{x}")[1] for x in "gc"]
+    text, ranges = " ".join(page.split()), [(x.walks / 1e3).round() for x in bound]
+    told = "Go1 from {:.0f} to {:.0f} k on and ANYmal-C from {:.0f} to {:.0f} k on"
+    assert told.format(*(f(x) for x in ranges for f in (min, max))) in text
+    told = [
+        words_of_first(bound[0]),
+        "{:.1f} ({:.1f})".format(*(f(bound[1].level) / 1e3 for f in (np.mean, max))),
+    ]
+    assert "To the level they need {} and {}".format(*told) in text
+    for x, of in zip("gc", bound, strict=True):
+        assert stats.difference(of.level / 1e3, level("robots-1", x)).low < 0
+        seeds = few_of("robots-2", f"bound50-robots-1-{x}")[0]
+        assert [run[0]["seed"] for run in seeds] == [0, 1, 2] and all(
+            run[-1]["return"] > 20 for run in seeds
+        )
+
+
 PARTS_OF_FEW = {  # what parts.md takes out -> its job, robots of which it ran
     "nothing: `few`": ("whole", "ghcd"),
     "imagined robots: 1 for each real one, not 64": ("imagined1", "ghcd"),
