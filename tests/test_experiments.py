@@ -415,7 +415,7 @@ def test_what_the_pages_of_seconds_say_of_a_g1_on_other_hosts_is_so(humanoid):
     again = run["g1.kernel", third, "best-kl4e3"]
     there = again.level[np.isfinite(again.level[:, 2]), 2]
     assert (len(there), int(np.isfinite(again.walks[:, 2]).sum())) == (9, 6)
-    for name in ("README", "runs", "settings"):
+    for name in ("runs", "settings"):
         assert f"after {there.mean():.2f} s" in pages[name]
     rows = [row for row in table.read() if (row["batch"], row["name"]) == (third, here[1])]
     ends = {row["seed"]: row for row in rows if row["iteration"] == "160"}
@@ -716,10 +716,96 @@ def test_what_the_pages_of_seconds_say_of_a_g1s_ppo_on_the_fifth_host_is_so():
     text = "it would be {}, to a walk {}, and with settings for seconds {}."
     computed = " ".join((EXPERIMENTS / ROW_COST / "computed.md").read_text().split())
     assert text.format(*cells).replace("0.5 (", "0.50 (") in computed
-    text = "ten seeds take {:.2f} s, {:.2f} times as long ({:.2f} to {:.2f})"
-    assert text.format(its.mean(), *stats.ratio(its, mine)) in pages[f"{ROW_COST}/README"]
     text = f"take {table.interval(its)} s: " + "{:.2f} times as long as `best` ({:.2f} to {:.2f})"
     assert text.format(*stats.ratio(its, usual)) in pages["25_humanoid/seconds"]
+
+
+def test_what_the_pages_of_seconds_say_of_a_g1_with_settings_for_seconds_is_so():
+    """`best-kl4e3` and PPO on the sixth host, and all runs of that day."""
+    table = script(f"{ROW_COST}/table")
+    found, day = table.runs(), "H200, 2026-11-28"
+    ours, theirs = (
+        {
+            x.batch: x
+            for x in found
+            if (x.place, x.method) == ("g1.kernel", method) and day in x.batch
+        }
+        for method in ("best-kl4e3", "ppo1024x12")
+    )
+    assert [len(x.level) for x in ours.values()] == [10] * 3
+    assert sorted(len(x.level) for x in theirs.values()) == [7, 10, 10]
+    last = {}  # batch -> seed -> row
+    for row in table.read():
+        if row["name"] == "g1.kernel.best-kl4e3" and row["iteration"] == "160":
+            last.setdefault(row["batch"], {})[row["seed"]] = row
+
+    def counted(run, name, at):
+        ends = [float(row[name]) for row in last[run.batch].values()]
+        return np.where(np.isnan(run.level[:, at]), ends, run.level[:, at])
+
+    pages = {
+        name: " ".join((EXPERIMENTS / f"{name}.md").read_text().split())
+        for name in (
+            f"{ROW_COST}/README",
+            f"{ROW_COST}/runs",
+            f"{ROW_COST}/settings",
+            "25_humanoid/seconds",
+        )
+    }
+    host = f"{day}, sixth host"
+    mine, ppo = ours[host], theirs[host]
+    there = mine.level[np.isfinite(mine.level[:, 2]), 2]
+    late = [[*last[host].values()][k] for k in np.flatnonzero(np.isnan(mine.level[:, 2]))]
+    its, ends = ppo.level[:, 2], counted(mine, "seconds", 2)
+    runs = pages[f"{ROW_COST}/runs"]
+    errors = [float(row["yaw_error"]) for row in late]
+    one = "PPO takes {:.2f} times as long ({:.2f} to {:.2f})".format(*stats.ratio(its, ends))
+    for text in (
+        f"PPO takes {table.interval(its)} s** to the level, and all ten walk, after"
+        f" {table.interval(ppo.walks[:, 2])}",
+        f"at the level by iteration 160, after {table.interval(there)} s; seeds {late[0]['seed']} and"
+        f" {late[1]['seed']} turn with errors of {errors[0]:.2f} and {errors[1]:.2f} rad/s",
+        f"it is {table.interval(ends)}: {one}, "
+        + "{:.2f} s more ({:.2f} to {:.2f})".format(*stats.difference(its, ends)),
+    ):
+        assert text in runs, text
+    assert (len(there), np.isfinite(mine.walks[:, 2]).sum()) == (
+        8,
+        6,
+    )  # "Eight of ten", "Six of ten walk"
+    assert one in pages[f"{ROW_COST}/README"]
+    assert f"on a sixth eight, after {there.mean():.2f}" in pages[f"{ROW_COST}/settings"]
+    all_ours, all_theirs = (
+        [np.concatenate([of(run, k) for run in some.values()]) for k in (2, 1)]
+        for some, of in (
+            (ours, lambda run, k: counted(run, {1: "sim_steps", 2: "seconds"}[k], k)),
+            (theirs, lambda run, k: run.level[:, k]),
+        )
+    )
+    assert sum(np.isfinite(x.level[:, 2]).sum() for x in ours.values()) == 27
+    walk = [sum(np.isfinite(x.walks[:, 2]).sum() for x in some.values()) for some in (ours, theirs)]
+    assert walk == [20, 27] and len(all_theirs[0]) == 27
+    slower = "{:.2f} times as long ({:.2f} to {:.2f}".format(
+        *stats.ratio(all_theirs[0], all_ours[0])
+    )
+    steps = "{:.1f} times the steps ({:.1f} to {:.1f})".format(
+        *stats.ratio(all_theirs[1], all_ours[1])
+    )
+    more = "{:.2f} s more, {:.2f} to {:.2f}".format(*stats.difference(all_theirs[0], all_ours[0]))
+    p = stats.welch_of(all_theirs[0], all_ours[0])
+    both = table.interval(all_ours[0]), table.interval(all_theirs[0])
+    text = "`best-kl4e3` takes {} s and PPO {}: ".format(*both)
+    assert f"{text}{slower}; {more}, Welch's p {p:.2f}), for {steps}" in runs
+    assert f"takes {slower}), for {steps.split(' (')[0]}" in pages[f"{ROW_COST}/README"]
+    assert f"to their end it takes {all_ours[0].mean():.2f} s" in pages[f"{ROW_COST}/README"]
+    text = "it takes {} s, what is not there counted up to its end, and PPO on three hosts {}: "
+    assert text.format(*both) + slower + ")" in pages["25_humanoid/seconds"]
+    text = f"of a G1 {all_ours[0].mean():.2f}, 3.65 and {all_theirs[0].mean():.2f} on several"
+    assert text in pages[f"{ROW_COST}/README"]
+    (jax_,) = [x for x in found if x.place == "go1.jax"]
+    assert np.isfinite(jax_.walks).all() and len(jax_.level) == 5
+    text = f"{jax_.row:.1f} ms a row, a Go1 is at its level after {jax_.level[:, 2].mean():.2f} s"
+    assert text in pages[f"{ROW_COST}/README"]
 
 
 def test_marks_of_rows_that_cost_nearly_the_same_stand_apart():
