@@ -1553,6 +1553,80 @@ def test_jobs_that_tune_ppo_are_valid_plain_ppo_of_their_names(path, monkeypatch
     assert len(names) >= 8
 
 
+def test_the_table_of_ppos_grid_is_that_of_its_runs():
+    """Every setting of ppo_grid.txt is a cell of each robot; the best of each ran on fresh seeds."""
+    choose, (table, _) = script("21_less/choose"), less("ppo")
+    jobs = table.read(LESS / "results/ppo.csv.xz", "5")
+    part = (LESS / "ppo.md").read_text().split("## The grid, closed")[1]
+    rows = [cells(line) for line in part.splitlines() if line.startswith("| ")]
+    assert rows[0] == ["PPO", *LETTERS]
+    names = (
+        "64-kl3 128-kl2 128-kl3 128-kl3-gamma98 128-kl4 128-kl5 256-kl3 256-kl3-gamma98 256-kl3-lam95 "
+        "256-kl3-ep10 256-kl3-mb8 256-kl4 512-kl3 512-kl5"
+    ).split()
+    asked = {line.split()[0] for line in (LESS / "ppo_grid.txt").read_text().splitlines()}
+    assert {f"grid-{name}-{x}" for name in names for x in "ghcd"} == asked == jobs.keys()
+    best = {x: min(names, key=lambda n, x=x: choose.cost(jobs[f"grid-{n}-{x}"])) for x in "ghcd"}
+    level = {}
+    for name, row in zip(names, rows[1:], strict=True):
+        robots, kl = name.split("-")[:2]
+        assert row[0].startswith("the same") or row[0] == f"{robots} robots, KL 0.0{kl[2:]}"
+        for letter, cell in zip("ghcd", row[1:], strict=True):
+            job = jobs[f"grid-{name}-{letter}"]
+            found = table.reached(table.seeds(job), table.walks.level(table.best(job)))
+            steps = f"{choose.cost(job) / 1e6:.2f}"
+            assert cell == f"{steps}; {table.steps_of(found.level)}", (name, letter)
+            bold = f"**{steps}**; {table.steps_of(found.level)}"
+            assert (bold in part) == (best[letter] == name)
+            level.setdefault(letter, {})[name] = choose.cost(job, "level") / 1e6
+    _, head = less("headline")
+    for letter, name in best.items():  # what ran on fresh seeds is what was chosen
+        same = {
+            "rollout.num_envs",
+            "ppo.gamma",
+            "ppo.lambda_",
+            "ppo.desired_kl",
+            "schedule.late_from",
+        }
+        fields = [
+            {f for f in job[0]["job"].split() if f.split("=")[0] in same}
+            for job in (jobs[f"grid-{name}-{letter}"], head[f"ppo-walk-{letter}"])
+        ]
+        assert fields[0] == fields[1] and len(fields[0]) == 5
+    words = " ".join(part.split())
+    soonest = [min(some.values()) for some in level.values()]
+    text = "need {:.2f} (128 robots, KL 0.04), {:.2f} (KL 0.03), {:.2f} and {:.2f} (KL 0.05)"
+    assert text.format(*soonest) in words
+    text = "need {:.2f} to {:.2f} M on three tuning seeds"
+    assert text.format(min(soonest), max(soonest)) in " ".join(
+        (LESS / "README.md").read_text().split()
+    )
+    ours = [ours_of(f"ppo-walk-{x}") for x in "ghcd"]
+    text = "after {:.2f} M (one of ten never), {:.2f}, {:.2f} (two never) and {:.2f} (one never)"
+    assert text.format(*(np.nanmean(x.walks) / 1e6 for x in ours)) in words
+    assert [int(np.isnan(x.walks).sum()) for x in ours] == [1, 0, 2, 1]
+    text = "{:.2f}, {:.2f}, {:.2f} and {:.2f}"
+    first = [
+        text.format(*(ours_of(f"{n}-{x}").level.mean() / 1e6 for x in "ghcd"))
+        for n in ("ppo-walk", "ppo")
+    ]
+    assert f"{first[0]} M, of the PPO chosen for the level {first[1]}" in words
+    with lzma.open(LESS / "results/ppo.csv.xz", "rt", newline="") as file:
+        runs = {
+            (r["batch"], r["name"], r["seed"])
+            for r in csv.DictReader(file)
+            if r["name"][0] not in "qw"
+        }
+    counts = [sum(batch in some for batch, *_ in runs) for some in ("123", "4", "5")]
+    assert counts == [205, 120, 168] and "21 in 205 runs on two" in " ".join(
+        (LESS / "ppo.md").read_text().split()
+    )
+    assert (
+        "47 settings in 493 runs" in " ".join((LESS / "README.md").read_text().split())
+        and sum(counts) == 493
+    )
+
+
 def test_best_setting_is_the_one_that_walks_soonest_and_never_counts_twice(tmp_path, monkeypatch):
     """Setting `a` walks at 2 M and never (of 3 M): (2 + 6) / 2; `b` at 3 M twice. `c` is another robot's. The
     chosen settings have the fresh seeds, and a job that has not run is named."""
@@ -2332,7 +2406,7 @@ def test_a_run_tells_what_its_task_has():
     assert measured({"return": 3.0}, {"terrain_row": np.ones(4)})["terrain_row"].shape == (1,)
 
 
-RUNS = {"**`best`**": "best", "PPO": "ppo"}
+RUNS = {"**`best`**": "best", "PPO": "ppo", "PPO, to walk": "ppo-walk"}
 LOW_FEET = {"**`best`**": "best", "PPO, same task": "ppo-task", "PPO, as before": "ppo"}
 OLDER = {  # rows of the table of older runs -> names in fresh.csv.xz
     "`best` of then": "new",
@@ -2375,7 +2449,7 @@ def test_the_tables_of_the_headline_are_those_of_its_runs():
     (table, jobs), page = less("headline"), (LESS / "tables.md").read_text()
     assert {len(table.seeds(job)) for job in jobs.values()} == {10}
     found = rows_of(page, RUNS, 11)
-    assert found.keys() == jobs.keys() and len(jobs) == 8
+    assert found.keys() == jobs.keys() and len(jobs) == 12
     for name, mine in found.items():
         first, fell = steps_and_falls(table, name, jobs[name])
         assert mine == [*first[:2], fell[1], first[2], fell[4], *first[5:]], name
@@ -2386,7 +2460,7 @@ def test_the_tables_of_the_headline_are_those_of_its_runs():
         row[0]: row[1:] for row in map(cells, table.at(jobs, millions).splitlines()[2:])
     } == steps
     lines = map(cells, table.beside(jobs).splitlines()[2:])
-    assert {row[0]: row[1:] for row in lines} == beside and len(beside) == 4
+    assert {row[0]: row[1:] for row in lines} == beside and len(beside) == 8
     short = {name: [*full[:3], steps[name][-1]] for name, full in found.items()}
     assert rows_of(front, RUNS, 5) == short  # the page's own table is of these columns
     mine = {f"best-{letter}": jobs[f"best-{letter}"] for letter in LETTERS.values()}
@@ -2545,10 +2619,10 @@ def test_what_the_page_of_controls_says_is_so():
 
 def test_the_page_of_results_has_the_numbers_of_both():
     page = (ROOT / "docs/results.md").read_text()
-    runs = {"`best`": "best", "PPO alone *": "ppo"}
+    runs = {"`best`": "best", "PPO alone *": "ppo", "PPO alone, to walk †": "ppo-walk"}
     older = {"PPO-16, 4096 robots, older": "ppo16", "PPO-24, 4096 robots, older": "ppo24"}
     rows = [cells(line) for line in page.splitlines() if cells(line)[0] in LETTERS]
-    assert len(rows) == 16
+    assert len(rows) == 20
     for robot, what, *mine in rows:
         table, jobs = less("headline" if what in runs else "fresh")
         job = jobs[f"{(runs | older)[what]}-{LETTERS[robot]}"]
@@ -2720,20 +2794,24 @@ def test_the_readmes_table_says_what_the_runs_did():
         ("anymal_c", "ANYmal-C"),
         ("anymal_d", "ANYmal-D"),
     ):
-        mine, ppo = (jobs[f"{name}-{LETTERS[label]}"] for name in ("best", "ppo"))
+        mine, ppo, to_walk = (
+            jobs[f"{name}-{LETTERS[label]}"] for name in ("best", "ppo", "ppo-walk")
+        )
         level = script("14_efficiency").LEVEL[robot]
-        ours, theirs = (table.reached(table.seeds(job), level) for job in (mine, ppo))
+        ours, theirs, walking = (
+            table.reached(table.seeds(job), level) for job in (mine, ppo, to_walk)
+        )
         assert not np.isnan([*ours.level, *theirs.level]).any()
         falls = 100 * np.mean([table.first(run, level, "fall_rate") for run in table.seeds(mine)])
         sixteen = paper.pick(efficiency, robot=robot, threshold="evaluated", variant="ppo16")
         assert sixteen["success_rate_pct"] == "100"
-        mine_walk, walk = (np.isfinite(one.walks).sum() for one in (ours, theirs))
+        mine_walk, walk = (np.isfinite(one.walks).sum() for one in (ours, walking))
         last = cells(table.table({"": mine}, table.best(mine)).splitlines()[2])[-2]
         end = re.sub(" ± [^,]*", f" of {table.best(mine)}", last)
         found = [
             f"{np.nanmean(ours.walks) / 1e6:.2f} ({np.nanmax(ours.walks) / 1e6:.2f}"
             + (f"; {mine_walk} of 10)" if mine_walk < 10 else ")"),
-            f"{np.nanmean(theirs.walks) / 1e6:.1f}" + (f" ({walk} of 10)" if walk < 10 else ""),
+            f"{np.nanmean(walking.walks) / 1e6:.1f}" + (f" ({walk} of 10)" if walk < 10 else ""),
             f"{ours.level.mean() / 1e6:.2f}, {falls:.1f} %",
             f"{theirs.level.mean() / 1e6:.1f}",
             f"{float(sixteen['sim_steps_M_mean']):.1f}",
@@ -2753,8 +2831,8 @@ def test_the_readmes_table_says_what_the_runs_did():
     text = " ".join(page.split())
     first, walks = (np.mean(x) / 1e6 for x in (ours_of("best-g").level, ours_of("best-g").walks))
     assert f"commands after {first:.2f} million" in text and f"after {walks:.2f} million" in text
-    alone = ours_of("ppo-g")
-    steps = [np.mean(alone.level) / 1e6, np.nanmean(alone.walks) / 1e6]
+    steps = [np.mean(ours_of("ppo-g").level), np.nanmean(ours_of("ppo-walk-g").walks)]
+    steps = [x / 1e6 for x in steps]
     text = " ".join(text.split())
     assert (
         "needs {:.1f} million to follow commands and {:.1f} million to walk".format(*steps) in text
@@ -2832,7 +2910,7 @@ def test_what_the_page_says_of_the_goal_and_of_single_seeds_is_so():
     assert text.format(*(some.mean() for some in ends.values())) in front
     level = [ours_of(f"best-{x}").level.mean() / 1e6 for x in "ghcd"]
     assert "after {:.2f}, {:.2f}, {:.2f} and {:.2f} M steps".format(*level) in front
-    theirs = [ours_of(f"ppo-{x}").walks / 1e6 for x in "ghcd"]
+    theirs = [ours_of(f"ppo-walk-{x}").walks / 1e6 for x in "ghcd"]
     text = "walks after {:.1f}, {:.1f}, {:.1f} and {:.1f} M, and {} of its 40 runs do not within"
     assert text.format(*map(np.nanmean, theirs), np.isnan(theirs).sum()) in front
     table, jobs = less("headline")

@@ -1,11 +1,12 @@
 """The best of tuned settings, as a list of jobs on fresh seeds. The rule is older than the runs.
 
-    python experiments/21_less/choose.py FOLDER JOBS.txt FRESH.txt [--seed 1200] [--num-seeds 10]
+    python experiments/21_less/choose.py FOLDER JOBS.txt FRESH.txt [--seed 1200] [--num-seeds 10] [--level]
 
 FOLDER is what run.py made of JOBS.txt; every job must have run. Of the settings of a robot, the best is the
 one with the fewest simulator steps until it walks (dynappo/policy/walks.py), mean over seeds; a seed that
 never walks counts with twice all its steps. FRESH.txt gets that setting of each robot, as `best-NAME`, with
-other seeds, and an evaluation of 1000 episodes twice as often.
+other seeds, and an evaluation of 1000 episodes twice as often. `--level`: steps to the level decide, whatever
+the falls.
 """
 
 import importlib
@@ -25,6 +26,7 @@ def main():
         parser.add_argument(name, type=Path)
     parser.add_argument("--seed", type=int, default=1200)
     parser.add_argument("--num-seeds", type=int, default=10)
+    parser.add_argument("--level", action="store_true")
     args = parser.parse_args()
     jobs = dict(
         line.split(maxsplit=1) for line in args.jobs.read_text().splitlines() if line.strip()
@@ -32,7 +34,8 @@ def main():
     found = table.read(args.folder)
     if missing := [name for name in jobs if name not in found]:
         raise SystemExit(f"{args.folder} lacks {', '.join(missing)}; run them first")
-    costs = {name: cost(found[name]) for name in jobs}
+    goal = "level" if args.level else "walks"
+    costs = {name: cost(found[name], goal) for name in jobs}
     lines = []
     for robot in dict.fromkeys(line.split()[0] for line in jobs.values()):
         mine = [name for name, line in jobs.items() if line.split()[0] == robot]
@@ -43,10 +46,11 @@ def main():
     args.fresh.write_text("".join(lines))
 
 
-def cost(job: list[dict]) -> float:
-    """Mean steps until a seed walks; twice all steps where it never does."""
+def cost(job: list[dict], goal: str = "walks") -> float:
+    """Mean steps of the seeds to the `goal`, a field of `stats.Reached`; twice all steps where one never
+    gets there."""
     runs = table.seeds(job)
-    steps = table.reached(runs, walks.level(table.best(job))).walks
+    steps = getattr(table.reached(runs, walks.level(table.best(job))), goal)
     never = [2 * run[-1]["sim_steps"] for run in runs]
     return float(np.mean(np.where(np.isnan(steps), never, steps)))
 
