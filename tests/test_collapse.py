@@ -214,6 +214,46 @@ def test_the_jobs_are_valid_and_on_the_page():
         seen.add((job, *sorted(fields)))
 
 
+def test_the_page_has_what_the_papers_tails_without_anchors_had():
+    """Each cell, the differences at iteration 300, and that nothing is below 0.65 of PPO-16."""
+    page, runs = (HERE / "README.md").read_text(), {}
+    with lzma.open(HERE / "results/gpu.csv.xz", "rt", newline="") as file:
+        for row in csv.DictReader(file):
+            if row["batch"] == "first":
+                runs.setdefault(row["name"], []).append(row)
+
+    def at(name, iteration, column="return"):
+        return [float(r[column]) for r in runs[name] if r["iteration"] == str(iteration)]
+
+    part = page.split("### On a GPU")[1].split("### On two CPU cores")[0]
+    words, shares = " ".join(part.split()), []
+    for label, name in (("PPO-16", "ppo16"), ("tail",) * 2, ("rebuilt",) * 2, ("unanchored",) * 2):
+        (line,) = (x for x in part.splitlines() if x.replace("`", "").startswith(f"| {label} |"))
+        keys = [(f"{name}-{robot}", k) for robot in "gc" for k in (100, 200, 300)]
+        for key, cell in zip(keys, line.split("|")[2:-1], strict=True):
+            back, falls = np.mean(at(*key)), np.mean(at(*key, "fall_rate"))
+            assert cell.strip() == f"{back:.1f}, {100 * falls:.0f} %", key
+            assert len(at(*key)) == 3
+        shares += [np.mean(at(f"{name}-{x}", 300)) / np.mean(at(f"ppo16-{x}", 300)) for x in "gc"]
+    assert f"the lowest of these is {min(shares):.2f} of PPO-16" in words
+    less = [stats.difference(at(f"rebuilt-{x}", 300), at(f"unanchored-{x}", 300)) for x in "gc"]
+    text = "{:.1f} less than `rebuilt` ({:.1f} less to {:.1f} more)"
+    assert text.format(less[0].value, less[0].high, -less[0].low) in words
+    p = stats.welch_of(at("rebuilt-c", 300), at("unanchored-c", 300))
+    text = "it is {:.1f} less ({:.1f} less to {:.1f} more, p {:.2f} before Holm)"
+    assert text.format(less[1].value, less[1].high, -less[1].low, p) in words
+    both = [
+        [100 * x for x in at(f"{name}-c", 300, "fall_rate")] for name in ("unanchored", "rebuilt")
+    ]
+    assert (
+        "{:.1f} points more of the episodes ({:.1f} to {:.1f}".format(*stats.difference(*both))
+        in words
+    )
+    open_ = stats.difference(at("rebuilt-g", 300), at("tail-g", 300))
+    assert f"({-open_.low:.1f} less to {open_.high:.1f} more) leaves it open" in words
+    assert stats.difference(at("rebuilt-c", 300), at("tail-c", 300)).high < 1.3
+
+
 def test_the_page_has_what_the_runs_without_anchors_had():
     """Each cell; and the means from iteration 200 to 350, with Welch's interval."""
     page = (HERE / "README.md").read_text()

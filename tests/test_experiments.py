@@ -1627,6 +1627,46 @@ def test_the_table_of_ppos_grid_is_that_of_its_runs():
     )
 
 
+def test_a_run_that_was_stopped_goes_on_from_its_last_evaluation(tmp_path, monkeypatch):
+    """Stopped after two of four chunks, with a random key in its state: the rows of one that was not."""
+    run, stop_at, ran = script("21_less/run"), [None], []
+
+    def step(hyper, state, columns):
+        total, key = state
+        if stop_at[0] == len(ran):
+            raise KeyboardInterrupt
+        ran.append(len(columns["sim_steps"]))
+        key, noise = jax.random.split(key)
+        return (total + jax.random.uniform(noise, (2,)), key), {"kl": np.ones((5, 2))}
+
+    first = jnp.zeros(2), jax.random.key(7)
+    program = types.SimpleNamespace(
+        state=first,
+        step=step,
+        hyper=None,
+        columns={"sim_steps": np.arange(20), "iteration": np.arange(20)},
+        evaluate=lambda state: {"return": state[0], "fall_rate": state[0]},
+    )
+    monkeypatch.setattr(run.build, "program", lambda config: program)
+    monkeypatch.setattr(run.overflow, "check", lambda metrics: None)
+    fields = "run.num_iterations=20 run.eval_every=5 run.num_seeds=2 run.device=cpu".split()
+
+    def rows(name, states=None):
+        run.run(tmp_path / name, "go1:ppo16", fields, states=states)
+        text = list(csv.DictReader((tmp_path / f"{name}.csv").open(newline="")))
+        return [{k: v for k, v in row.items() if k != "seconds"} for row in text]
+
+    whole = rows("whole")
+    assert len(whole) == 8 and ran == [5] * 4
+    ran.clear()
+    stop_at[0] = 2
+    with pytest.raises(KeyboardInterrupt):
+        rows("cut", tmp_path / "states/cut")
+    assert len((tmp_path / "cut.csv.part").read_text().splitlines()) == 5
+    stop_at[0] = None
+    assert rows("cut", tmp_path / "states/cut") == whole and ran == [5] * 4
+
+
 def test_best_setting_is_the_one_that_walks_soonest_and_never_counts_twice(tmp_path, monkeypatch):
     """Setting `a` walks at 2 M and never (of 3 M): (2 + 6) / 2; `b` at 3 M twice. `c` is another robot's. The
     chosen settings have the fresh seeds, and a job that has not run is named."""

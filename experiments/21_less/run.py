@@ -1,7 +1,7 @@
 """Evaluations of runs on the way: what a policy is worth after how many simulator steps.
 
     python experiments/21_less/run.py OUT_FOLDER JOBS.txt [NAME ...] [--workers 4] [--policies]
-        [--late 200 50]
+        [--late 200 50] [--states FOLDER]
 
 A line of JOBS.txt is `NAME ROBOT:VARIANT [FIELD=VALUE ...]`, or `NAME playground:TASK:VARIANT ...`, and
 becomes OUT_FOLDER/NAME.csv, a row an evaluation and seed: return and falls, errors where the task tells them,
@@ -11,7 +11,8 @@ says otherwise (run.seed, run.num_seeds, run.eval_every ...). `control=NAME` amo
 controls.py. With NAMEs, those jobs in their order, or all that begin so. Jobs whose CSV is there are skipped.
 A seed whose numbers are no longer finite trains on beside the others; OUT_FOLDER/NAME.log says since when.
 While a job runs, its rows so far are in OUT_FOLDER/NAME.csv.part, so one that is stopped loses only what
-came after its last evaluation. `--policies` writes OUT_FOLDER/NAME.K.npz, the policy of seed K (0, 1, ...)
+came after its last evaluation. With `--states` its state is kept there, too, and the same command goes on
+from it. `--policies` writes OUT_FOLDER/NAME.K.npz, the policy of seed K (0, 1, ...)
 at the last evaluation, too. `--workers`: so many processes share the GPU, because compiling takes longer
 than training; their clocks say nothing then.
 `--late 200 50`: after iteration 200 evaluate every 50 iterations only.
@@ -22,6 +23,7 @@ import csv
 import importlib
 import math
 import os
+import pickle
 import subprocess
 import sys
 import time
@@ -35,7 +37,7 @@ from dynappo import config as config_lib
 from dynappo import schedule
 from dynappo.description import robot as robot_lib
 from dynappo.policy import policy_file
-from dynappo.program import build, devices
+from dynappo.program import build, devices, distributed
 from dynappo.run import nonfinite, overflow
 from dynappo.terrain import tiles
 from experiments import paper
@@ -61,6 +63,7 @@ def main(about=__doc__, script=__file__, evaluation=None):
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--policies", action="store_true", help="write each seed's policy")
     parser.add_argument("--late", type=int, nargs=2, metavar=("AFTER", "EVERY"))
+    parser.add_argument("--states", type=Path, help="a folder, for runs that are stopped")
     parser.add_argument("--only", help="run this job of the file in this process")
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
@@ -70,13 +73,15 @@ def main(about=__doc__, script=__file__, evaluation=None):
     if args.only:
         devices.own_process()
         job, *fields = jobs[args.only].split()
-        run(args.out / args.only, job, fields, args.policies, args.late, evaluation)
+        states = args.states and args.states / args.only
+        run(args.out / args.only, job, fields, args.policies, args.late, evaluation, states)
         return
 
     def start(name):
         command = [sys.executable, script, args.out, args.jobs, "--only", name]
         command += ["--policies"] * args.policies
         command += ["--late", *map(str, args.late)] if args.late else []
+        command += ["--states", args.states] if args.states else []
         room = {"XLA_PYTHON_CLIENT_PREALLOCATE": "false"} if args.workers > 1 else {}
         done = subprocess.run(command, env=os.environ | room, capture_output=True, text=True)
         said = (done.stderr.strip() or str(done.returncode)).splitlines()[-1]
@@ -90,10 +95,17 @@ def main(about=__doc__, script=__file__, evaluation=None):
 
 
 def run(
-    to: Path, job: str, fields: list[str], policies: bool = False, late=None, evaluation=None
+    to: Path,
+    job: str,
+    fields: list[str],
+    policies: bool = False,
+    late=None,
+    evaluation=None,
+    states: Path | None = None,
 ) -> None:
     """Train, and write TO.csv, a row an evaluation and seed, and with `policies` those of the seeds as
-    TO.K.npz. After each evaluation TO.csv.part has the rows so far.
+    TO.K.npz. After each evaluation TO.csv.part has the rows so far, and `states` what a run that is
+    stopped goes on from.
 
     `evaluation(config) -> f(state) -> columns [S]` by name, in place of the program's own.
     """
@@ -116,7 +128,11 @@ def run(
     evaluate = evaluation(config) if evaluation else program.evaluate
     state, steps, seconds, first, rows = program.state, schedule.sim_steps(config), 0.0, 0, []
     since: dict[int, str] = {}
+    if states and states.exists():
+        state, seconds, first, rows = kept(states, state)
     for last in evaluations(config, late):
+        if last <= first:  # before it was stopped
+            continue
         chunk = {name: column[first:last] for name, column in program.columns.items()}
         began = time.perf_counter()
         state, trained = jax.block_until_ready(program.step(program.hyper, state, chunk))
@@ -135,9 +151,30 @@ def run(
             }
             rows.append(about | when | {name: text(x[s]) for name, x in found.items()})
         write(part, rows)
+        if states:
+            keep(states, state, seconds, first, rows)
         if policies:
             save_policies(to, state, config, last, int(steps[last - 1]))
     part.replace(to.with_name(f"{to.name}.csv"))
+
+
+def keep(path: Path, state, *rest) -> None:
+    """Write the arrays of a state and what belongs to it, whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    raw, _ = distributed.raw_keys(state)
+    whole = path.with_name(f"{path.name}.new")
+    whole.write_bytes(pickle.dumps((jax.device_get(jax.tree.leaves(raw)), *rest)))
+    whole.replace(path)
+
+
+def kept(path: Path, like) -> tuple:
+    """`(state, *rest)` of `keep`; `like` is a state of the same program."""
+    raw, wrap = distributed.raw_keys(like)
+    leaves, *rest = pickle.loads(path.read_bytes())
+    leaves = [
+        jax.device_put(x, old.sharding) for x, old in zip(leaves, jax.tree.leaves(raw), strict=True)
+    ]
+    return wrap(jax.tree.unflatten(jax.tree.structure(raw), leaves)), *rest
 
 
 def measured(evaluation: dict, trained: dict) -> dict[str, np.ndarray]:
