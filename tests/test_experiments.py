@@ -4222,6 +4222,36 @@ def test_peers_have_the_task_of_a_config():
     assert after.reward.shape == after.done.shape == after.metrics["falls"].shape == (3,)
 
 
+def test_settings_of_other_methods_for_few_robots_are_flags_of_theirs_and_runs_are_whole(
+    tmp_path, monkeypatch
+):
+    """peers_tune.txt; of two seeds one fails, and leaves what it wrote as a part; one that is there stays."""
+    peers, names = script("27_few/peers"), set()
+    for line in (EXPERIMENTS / "27_few/peers_tune.txt").read_text().splitlines():
+        name, method, *given = line.split()
+        source = (peers.SCRIPTS / f"{method}.py").read_text()
+        flags = [word for word in [*given, *peers.COMMON.split()] if word.startswith("--")]
+        assert all(f'add_argument("{flag}"' in source for flag in flags), line
+        names.add(name)
+    assert len(names) == 20
+    (tmp_path / "fake.py").write_text(
+        "import sys; from pathlib import Path; given = ' '.join(sys.argv[2:])\n"
+        "Path(sys.argv[1]).open('a').write(given); sys.exit(given.endswith('--seed 1'))\n"
+    )
+    (tmp_path / "jobs.txt").write_text("a fake --updates 3\nb fake\n")
+    monkeypatch.setattr(peers, "SCRIPTS", tmp_path)
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "b-0.csv").write_text("before")
+    (out / "a-0.csv.part").write_text("cut off")
+    words = ["peers.py", str(out), str(tmp_path / "jobs.txt"), "--workers", "2"]
+    monkeypatch.setattr(sys, "argv", words)
+    peers.main()
+    assert (out / "a-0.csv").read_text() == f"{peers.COMMON} --updates 3 --seed 0"
+    assert not (out / "a-1.csv").exists() and (out / "a-1.csv.part").exists()
+    assert (out / "b-0.csv").read_text() == "before" and not (out / "b-1.csv").exists()
+
+
 @pytest.mark.slow  # of an experiment that has been run
 def test_crossq_renormalises_batches_and_knows_the_probability_of_its_actions():
     """In training a batch's own moments at first; later, while they are near the running ones, what an

@@ -98,6 +98,7 @@ def main():
     parser.add_argument("--robots", type=int, default=256)
     parser.add_argument("--updates", type=int, default=16, help="gradient steps a control step")
     parser.add_argument("--batch", type=int, default=2048, help="transitions a gradient step")
+    parser.add_argument("--first", type=int, default=8192, help="transitions with random actions")
     parser.add_argument("--learning-rate", type=float, default=6e-4)
     parser.add_argument("--gamma", type=float, default=0.97)
     parser.add_argument("--reward-scaling", type=float, default=40.0)
@@ -128,7 +129,7 @@ def train(args: argparse.Namespace) -> None:
     factory = functools.partial(
         sac_networks.make_sac_networks, hidden_layer_sizes=(256, 256), q_network_layer_norm=True
     )
-    first = args.robots * -(-8192 // args.robots)
+    first = args.robots * -(-args.first // args.robots)  # whole control steps
     with mock.patch.object(jax, "device_put_replicated", replicated, create=True):
         sac_train.train(
             trained,

@@ -1,0 +1,80 @@
+"""Other methods with 64 robots, many runs at once: settings for few robots, on tuning seeds.
+
+    python experiments/27_few/peers.py OUT_FOLDER experiments/27_few/peers_tune.txt [NAME ...] [--workers 8]
+        [--seeds 0 1]
+
+A line is `NAME SCRIPT ARGUMENTS`, SCRIPT one of 24_off_policy, and becomes OUT_FOLDER/NAME-SEED.csv for each
+seed; one that is there is skipped. `--workers`: so many share the device, so their clocks say nothing.
+OUT_FOLDER/NAME-SEED.log has what a run said.
+"""
+
+import os
+import shlex
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+from experiments import paper
+
+SCRIPTS = Path(__file__).parent.parent / "24_off_policy"
+# what all have: the task of `few`, and 64 robots to four times the steps of `few`
+COMMON = "--config go1:few --robots 64 --steps 204800 --evaluations 32"
+
+
+def main():
+    parser = paper.parser(__doc__)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("jobs", type=Path)
+    parser.add_argument("names", nargs="*", help="only jobs whose names begin so")
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1])
+    args = parser.parse_args()
+    args.out.mkdir(parents=True, exist_ok=True)
+    lines = (line.split(maxsplit=1) for line in args.jobs.read_text().splitlines() if line.strip())
+    jobs = dict(lines)
+    chosen = paper.chosen(jobs, args.names)
+    with ThreadPoolExecutor(args.workers) as pool:
+        runs = [
+            (args.out / f"{name}-{seed}.csv", jobs[name], seed)
+            for name in chosen
+            for seed in args.seeds
+        ]
+        list(pool.map(lambda run: start(*run, args.workers), runs))
+
+
+def start(to: Path, job: str, seed: int, workers: int) -> None:
+    """Run it, if it has not run; a run that is stopped leaves NAME.csv.part."""
+    if to.exists():
+        return
+    part = to.with_name(f"{to.name}.part")
+    part.unlink(missing_ok=True)  # the scripts append
+    done = subprocess.run(
+        command(part, job, seed), env=room(workers), capture_output=True, text=True
+    )
+    to.with_suffix(".log").write_text(done.stdout + done.stderr)
+    if done.returncode == 0:
+        part.replace(to)
+    print(to.stem, "done" if done.returncode == 0 else done.stderr.strip()[-200:], flush=True)
+
+
+def command(out: Path, job: str, seed: int) -> list[str]:
+    script, *given = shlex.split(job)
+    return [
+        sys.executable,
+        str(SCRIPTS / f"{script}.py"),
+        str(out),
+        *COMMON.split(),
+        *given,
+        "--seed",
+        str(seed),
+    ]
+
+
+def room(workers: int) -> dict[str, str]:
+    """JAX takes most of a card at once, unless it is told not to."""
+    return os.environ | ({"XLA_PYTHON_CLIENT_PREALLOCATE": "false"} if workers > 1 else {})
+
+
+if __name__ == "__main__":
+    main()
