@@ -4222,18 +4222,50 @@ def test_peers_have_the_task_of_a_config():
     assert after.reward.shape == after.done.shape == after.metrics["falls"].shape == (3,)
 
 
+def test_symmetric_sac_treats_left_and_right_alike():
+    """The mirrored observation has the mirrored mean, the spread of the other side, and the same values."""
+    sac = script("24_off_policy/sac")
+    args = types.SimpleNamespace(config="go1:few", set=["physics.impl=c"], gain=1.5)
+    mirrors = sac.robots(args)[0].mirror
+    obs, action = (
+        jax.random.normal(jax.random.key(1), (5, 48)),
+        jnp.linspace(-1, 1, 60).reshape(5, 12),
+    )
+    image = [
+        np.asarray(m.sign) * np.asarray(x)[:, m.index]
+        for m, x in zip(mirrors, (obs, action), strict=True)
+    ]
+    made, plain = sac.networks(mirrors, 48, 12), sac.networks(None, 48, 12)
+    key = jax.random.key(0)
+    policy, critics = (net.init(key) for net in (made.policy_network, made.q_network))
+    logits, other = (
+        np.asarray(made.policy_network.apply(None, policy, x)) for x in (obs, image[0])
+    )
+    np.testing.assert_allclose(
+        other[:, :12], mirrors[1].sign * logits[:, :12][:, mirrors[1].index], atol=1e-5
+    )
+    np.testing.assert_allclose(other[:, 12:], logits[:, 12:][:, mirrors[1].index], atol=1e-5)
+    values = [made.q_network.apply(None, critics, *x) for x in ((obs, action), image)]
+    np.testing.assert_allclose(*values, atol=1e-5)
+    assert np.ptp(logits) > 0.1 and np.ptp(values[0]) > 0.01
+    before = [np.asarray(plain.policy_network.apply(None, policy, x)) for x in (obs, image[0])]
+    assert np.abs(before[1][:, 12:] - before[0][:, 12:][:, mirrors[1].index]).max() > 0.05
+    assert np.abs(before[0] - logits).max() > 0.01
+
+
 def test_settings_of_other_methods_for_few_robots_are_flags_of_theirs_and_runs_are_whole(
     tmp_path, monkeypatch
 ):
-    """peers_tune.txt; of two seeds one fails, and leaves what it wrote as a part; one that is there stays."""
+    """Of two seeds one fails, and leaves what it wrote as a part; one that is there stays."""
     peers, names = script("27_few/peers"), set()
-    for line in (EXPERIMENTS / "27_few/peers_tune.txt").read_text().splitlines():
+    files = "27_few/peers_tune.txt", "24_off_policy/jobs.txt"
+    for line in "".join((EXPERIMENTS / file).read_text() for file in files).splitlines():
         name, method, *given = line.split()
         source = (peers.SCRIPTS / f"{method}.py").read_text()
         flags = [word for word in [*given, *peers.COMMON.split()] if word.startswith("--")]
         assert all(f'add_argument("{flag}"' in source for flag in flags), line
         names.add(name)
-    assert len(names) == 20
+    assert len(names) == 21
     (tmp_path / "fake.py").write_text(
         "import sys; from pathlib import Path; given = ' '.join(sys.argv[2:])\n"
         "Path(sys.argv[1]).open('a').write(given); sys.exit(given.endswith('--seed 1'))\n"

@@ -22,8 +22,9 @@ table = importlib.import_module("experiments.21_less.table")
 
 def main():
     parser = paper.parser(__doc__)
-    for name in ("folder", "jobs", "fresh"):
-        parser.add_argument(name, type=Path)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("jobs", type=Path)
+    parser.add_argument("fresh", type=Path)
     parser.add_argument("--seed", type=int, default=1200)
     parser.add_argument("--num-seeds", type=int, default=10)
     parser.add_argument("--level", action="store_true")

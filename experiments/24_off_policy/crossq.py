@@ -316,7 +316,7 @@ def learn_actor(method: Method, learner: Learner, batch: Transitions, key) -> Le
 
 
 def evaluate(robots, method: Method, learner: Learner, key):
-    """Means over episodes of reward, falls, squared error and steps, with the mean action."""
+    """Means over episodes of reward, `sac.MEASURED` and steps, with the mean action."""
     state = robots.reset(jax.random.split(key, sac.EPISODES))
     ones = jnp.ones(sac.EPISODES)
 
@@ -324,11 +324,13 @@ def evaluate(robots, method: Method, learner: Learner, key):
         state, alive, sums = carry
         out: Any = method.actor.apply(learner.actor, state.obs, False)
         after = robots.step(state, jnp.tanh(jnp.split(out, 2, -1)[0]))
-        found = [after.reward, after.metrics["falls"], after.metrics["velocity_error_sq"], ones]
+        found = [after.reward, *(after.metrics[name] for name in sac.MEASURED), ones]
         sums = [s + alive * x for s, x in zip(sums, found, strict=True)]
         return (after, alive * (1 - after.done), sums), None
 
-    (_, _, sums), _ = jax.lax.scan(step, (state, ones, [0 * ones] * 4), length=sac.LENGTH)
+    (_, _, sums), _ = jax.lax.scan(
+        step, (state, ones, [0 * ones] * (len(sac.MEASURED) + 2)), length=sac.LENGTH
+    )
     return [x.mean() for x in sums]
 
 

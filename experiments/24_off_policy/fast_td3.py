@@ -1,12 +1,14 @@
 """FastTD3, its authors' own trainer, on our task: steps and seconds to evaluated returns.
 
     python experiments/24_off_policy/fast_td3.py OUT.csv --code FastTD3/fast_td3 [--seed 100]
+        [--config g1:best --settings G1JoystickFlatTerrain --scale 2]
 
 `--code` is the folder fast_td3 of github.com/younggyoseo/FastTD3 (MIT; commit 229ed59). Its train.py runs as
-it is, with its settings for Playground's Go1, unless `--fast FIELD=VALUE` changes one. Ours are the task and
-the evaluations, as in sac.py, and the scale of the rewards: its value function reaches from -10 to 10 and has
-gamma 0.97, so that a perfect Go1 of 45 in 1000 steps is worth 7.5 with a scale of 5. The gain of 1.5 is
-SAC's: with 3 it did not walk. Needs torch, tensordict.
+it is, with its settings for Playground's Go1, or for the task of `--settings`, unless `--fast FIELD=VALUE`
+changes one. Ours are the task and the evaluations, as in sac.py, and the scale of the rewards: its value
+function reaches from -10 to 10 and has gamma 0.97, so a perfect Go1 of 45 in 1000 steps is worth 7.5 with a
+scale of 5, and a G1 of 130 8.7 with one of 2. The gain of 1.5 is SAC's: with 3 it did not walk. Needs torch,
+tensordict.
 """
 
 import argparse
@@ -41,7 +43,8 @@ class Torch:
 
     def reset(self):
         self._state, self._began = self._reset(self._keys), time.perf_counter()
-        self._sums, self._alive = jnp.zeros((4, self.num_envs)), jnp.ones(self.num_envs)
+        self._sums = jnp.zeros((len(sac.MEASURED) + 2, self.num_envs))
+        self._alive = jnp.ones(self.num_envs)
         self._row = 0
         return tensor(self._state.obs)
 
@@ -60,7 +63,7 @@ class Torch:
 
     def _add(self, state) -> None:
         """Sums of an evaluation's first episodes; a row when its time is up."""
-        found = (state.reward, state.metrics["falls"], state.metrics["velocity_error_sq"], 1.0)
+        found = (state.reward, *(state.metrics[name] for name in sac.MEASURED), 1.0)
         self._sums += jnp.stack([self._alive * x for x in found])
         self._alive *= 1 - state.done
         self._row += 1
@@ -84,6 +87,7 @@ def main():
     parser.add_argument("--steps", type=int, default=3_000_000)
     parser.add_argument("--gain", type=float, default=1.5)
     parser.add_argument("--scale", type=float, default=5.0, help="of rewards")
+    parser.add_argument("--settings", default="Go1JoystickFlatTerrain", help="a task of theirs")
     args = parser.parse_args()
     devices.own_process()
     args.out.parent.mkdir(parents=True, exist_ok=True)
@@ -97,7 +101,7 @@ def train(args: argparse.Namespace) -> None:
         sys.modules[name] = types.ModuleType(name)
     import hyperparams  # pyright: ignore[reportMissingImports]
 
-    own = settings(hyperparams.Go1JoystickFlatTerrainArgs(), args)
+    own = settings(getattr(hyperparams, f"{args.settings}Args")(), args)
     hyperparams.get_args = lambda: own
     trained, evaluated = sac.robots(args)
     began, apart = time.perf_counter(), [0.0]  # seconds of evaluations
@@ -121,7 +125,7 @@ def train(args: argparse.Namespace) -> None:
 
 
 def settings(own, args: argparse.Namespace):
-    """Their settings of Go1, with those of the command line."""
+    """Their settings of a task, with those of the command line."""
     own = dataclasses.replace(own, seed=args.seed, use_wandb=False, render_interval=0)
     own = dataclasses.replace(
         own, eval_interval=100, save_interval=0, cuda=torch.cuda.is_available()

@@ -7,10 +7,12 @@ and the tail get, with our own resets (brax's put a robot back into its first st
 command). Evaluations are ours too: 100 episodes of 20 s without noise, the mean action. OUT.csv has a
 row an evaluation, as 21_less/run.py writes it. `seconds` are those of training; brax counts its compilation
 too, so the first row has it. The defaults are setting e of five that were tried on Go1 with seed 0, the one
-with the highest return (README.md).
+with the highest return (README.md). `--symmetric`: policy and critics treat left and right alike, as those
+of `best` do.
 """
 
 import argparse
+import dataclasses
 import functools
 from pathlib import Path
 from unittest import mock
@@ -25,12 +27,14 @@ from dynappo import algorithm, scores
 from dynappo import config as config_lib
 from dynappo.description import motors
 from dynappo.description import robot as robot_lib
+from dynappo.learner import symmetry
 from dynappo.program import devices
 from dynappo.run import log
 from dynappo.tasks import of_robots
 from experiments import paper
 
 EPISODES, LENGTH = 100, 1000  # of an evaluation
+MEASURED = "falls", "velocity_error_sq", "yaw_error_sq"  # by the task, in each step
 
 
 class Robots(envs.Env):
@@ -60,7 +64,7 @@ class Robots(envs.Env):
             obs=state.obs,
             reward=zero,
             done=zero,
-            metrics={"falls": zero, "velocity_error_sq": zero},
+            metrics={name: zero for name in MEASURED},
             info=info | {"steps": zero},
         )
 
@@ -71,7 +75,7 @@ class Robots(envs.Env):
         after, outcome = advance(state.pipeline_state, self._gain * action, keys)
         info = {"steps": state.info["steps"] + 1, "truncation": outcome.truncation}
         info |= {"next_obs": outcome.next_obs}
-        found = {name: outcome.metrics[name] for name in ("falls", "velocity_error_sq")}
+        found = {name: outcome.metrics[name] for name in MEASURED}
         return state.replace(
             pipeline_state=after,
             obs=after.obs,
@@ -103,6 +107,7 @@ def main():
     parser.add_argument("--gamma", type=float, default=0.97)
     parser.add_argument("--reward-scaling", type=float, default=40.0)
     parser.add_argument("--gain", type=float, default=1.5)
+    parser.add_argument("--symmetric", action="store_true")
     args = parser.parse_args()
     devices.own_process()
     args.out.parent.mkdir(parents=True, exist_ok=True)
@@ -114,8 +119,7 @@ def train(args: argparse.Namespace) -> None:
     trained, evaluated = robots(args)
 
     def progress(steps, metrics):
-        names = ("reward", "falls", "velocity_error_sq")
-        sums = [float(metrics[f"eval/episode_{n}"]) for n in names]
+        sums = [float(metrics[f"eval/episode_{n}"]) for n in ("reward", *MEASURED)]
         sums.append(float(metrics["eval/avg_episode_length"]))
         found = row("sac", args, steps, metrics.get("training/walltime", 0.0), sums)
         log.append_csv(args.out, [found])
@@ -126,9 +130,7 @@ def train(args: argparse.Namespace) -> None:
         }
         print(*found.values(), f"length {sums[-1]:.0f}", about, flush=True)
 
-    factory = functools.partial(
-        sac_networks.make_sac_networks, hidden_layer_sizes=(256, 256), q_network_layer_norm=True
-    )
+    factory = functools.partial(networks, trained.mirror if args.symmetric else None)
     first = args.robots * -(-args.first // args.robots)  # whole control steps
     with mock.patch.object(jax, "device_put_replicated", replicated, create=True):
         sac_train.train(
@@ -155,6 +157,33 @@ def train(args: argparse.Namespace) -> None:
         )
 
 
+def networks(mirrors, *sizes, **given) -> sac_networks.SACNetworks:
+    """brax's, with the mean of what they say of an observation and of its mirror image, where there are
+    `mirrors` of observation and action."""
+    made = sac_networks.make_sac_networks(
+        *sizes, hidden_layer_sizes=(256, 256), q_network_layer_norm=True, **given
+    )
+    if mirrors is None:
+        return made
+    of_obs, of_action = mirrors
+    # a mean, which changes its sign, and a spread, which does not
+    of_logits = symmetry.beside(of_action, of_action._replace(sign=abs(of_action.sign)))
+    policy, critics = made.policy_network.apply, made.q_network.apply
+
+    def logits(moments, params, obs):
+        image = policy(moments, params, symmetry.vector(of_obs, obs))
+        return (policy(moments, params, obs) + symmetry.vector(of_logits, image)) / 2
+
+    def values(moments, params, obs, action):
+        image = symmetry.vector(of_obs, obs), symmetry.vector(of_action, action)
+        return (critics(moments, params, obs, action) + critics(moments, params, *image)) / 2
+
+    return made.replace(
+        policy_network=dataclasses.replace(made.policy_network, apply=logits),
+        q_network=dataclasses.replace(made.q_network, apply=values),
+    )
+
+
 def robots(args: argparse.Namespace) -> tuple[Robots, Robots]:
     """Those that are trained, and those of the evaluation."""
     name, _, variant = args.config.partition(":")
@@ -170,8 +199,8 @@ def robots(args: argparse.Namespace) -> tuple[Robots, Robots]:
 
 
 def row(method: str, args, steps, seconds, sums) -> dict:
-    """Of OUT.csv: `sums` of reward, falls, squared error and steps, means over an evaluation's episodes."""
-    reward, falls, error_sq, length = sums
+    """Of OUT.csv: `sums` of reward, `MEASURED` and steps, means over an evaluation's episodes."""
+    reward, falls, error_sq, yaw_error_sq, length = sums
     return {
         "job": f"{method} {args.config}",
         "seed": args.seed,
@@ -180,6 +209,7 @@ def row(method: str, args, steps, seconds, sums) -> dict:
         "return": f"{reward:.4g}",
         "fall_rate": f"{falls:.4g}",
         "tracking_error": f"{(error_sq / length) ** 0.5:.4g}",
+        "yaw_error": f"{(yaw_error_sq / length) ** 0.5:.4g}",
     }
 
 
