@@ -228,13 +228,16 @@ STATED = {  # name -> where, and the words
         (ROW_COST, "it is 3.75 and {:.2f} s, and no difference"),
     ],
     "g1 seconds to its level, with settings for seconds": [
-        ("README.md", "settings for seconds `best` takes {:.2f} on a G1 with our kernel (27 of 30"),
-        ("docs/results.md", "`best` is within the errors after {:.2f} s (ten fresh seeds, another"),
-        ("docs/speed.md", "22 to 24 ms, within the errors after {:.2f} s (27 of 30"),
+        (
+            "README.md",
+            "settings for seconds `best` takes {:.2f} on a G1 with our kernel (on a host",
+        ),
+        ("docs/results.md", "`best` is within the errors after {:.2f} s (ten fresh seeds on"),
+        ("docs/speed.md", "22 to 24 ms, within the errors after {:.2f} s (on a host"),
         ("experiments/README.md", "With settings for seconds `best` takes {:.2f} s there"),
         (
             "experiments/25_humanoid/README.md",
-            "`best` is within the errors after {:.2f} s (ten seeds,",
+            "`best` is within the errors after {:.2f} s (ten seeds of",
         ),
         ("experiments/25_humanoid/seconds.md", "3 epochs is within the errors after {:.2f} ±"),
         (ROW_COST, "3 epochs takes {:.2f} s (ten fresh seeds)"),

@@ -14,8 +14,8 @@ these alone forgets the rest. So they are kept.
   the same however many are kept. The ring is written first, so it is never empty.
 - **Tails**: those of later rounds begin in the newest `schedule.anchors` rows of a robot (`starts`), with
   `schedule.new_commands` under a new command: 64 robots hear few, and what is asked is known, not predicted.
-  With 64 robots it makes no difference that they begin there; one ANYmal-C needs 29 % more steps without, and
-  of four one in three seeds never walks (experiments/27_few/parts.md).
+  With 64 robots no difference is shown (30 pairs). One ANYmal-C needs 29 % more steps without (three seeds),
+  and with four one of three seeds never walks (experiments/27_few/parts.md).
 - **More imagined robots than real ones**: `rollout.imagined` of them go on from where each real robot is
   (`branches`). Each is a robot of its own in the rollout [N, R x imagined]: the first rows are those of its
   real robot, the tail is its own. So PPO, its weights and its advantages are those of one tail a robot, and

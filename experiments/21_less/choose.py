@@ -1,12 +1,12 @@
-"""The best of tuned settings, as a list of jobs on fresh seeds. The rule is older than the runs.
+"""The best of tuned settings, as a list of jobs on fresh seeds. The rule for a walk is older than the runs.
 
     python experiments/21_less/choose.py FOLDER JOBS.txt FRESH.txt [--seed 1200] [--num-seeds 10] [--level]
 
 FOLDER is what run.py made of JOBS.txt; every job must have run. Of the settings of a robot, the best is the
 one with the fewest simulator steps until it walks (dynappo/policy/walks.py), mean over seeds; a seed that
-never walks counts with twice all its steps. FRESH.txt gets that setting of each robot, as `best-NAME`, with
-other seeds, and an evaluation of 1000 episodes twice as often. `--level`: steps to the level decide, whatever
-the falls.
+never walks counts with twice all its steps. FRESH.txt gets that setting of each robot, as `walks-NAME`,
+with other seeds, and an evaluation of 1000 episodes twice as often. `--level`: steps to the level decide,
+whatever the falls, and the name is `level-NAME`.
 """
 
 import importlib
@@ -35,6 +35,8 @@ def main():
     found = table.read(args.folder)
     if missing := [name for name in jobs if name not in found]:
         raise SystemExit(f"{args.folder} lacks {', '.join(missing)}; run them first")
+    if other := [name for name, line in jobs.items() if found[name][0]["job"] != line]:
+        raise SystemExit(f"{args.folder} has other settings of {', '.join(other)} than {args.jobs}")
     goal = "level" if args.level else "walks"
     costs = {name: cost(found[name], goal) for name in jobs}
     lines = []
@@ -43,7 +45,7 @@ def main():
         for name in sorted(mine, key=costs.get):
             print(f"{name}: {costs[name] / 1e6:.2f} M")
         name = min(mine, key=costs.get)
-        lines.append(fresh(name, jobs[name], args.seed, args.num_seeds))
+        lines.append(fresh(f"{goal}-{name}", jobs[name], args.seed, args.num_seeds))
     args.fresh.write_text("".join(lines))
 
 
@@ -62,9 +64,7 @@ def fresh(name: str, line: str, seed: int, num_seeds: int) -> str:
     every = int(fields["run.eval_every"])
     fields |= {"run.seed": seed, "run.num_seeds": num_seeds}
     fields |= {"run.eval_envs": 1000, "run.eval_every": every // 2}
-    return (
-        " ".join([f"best-{name}", line.split()[0], *(f"{k}={v}" for k, v in fields.items())]) + "\n"
-    )
+    return " ".join([name, line.split()[0], *(f"{k}={v}" for k, v in fields.items())]) + "\n"
 
 
 if __name__ == "__main__":

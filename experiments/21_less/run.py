@@ -11,10 +11,10 @@ says otherwise (run.seed, run.num_seeds, run.eval_every ...). `control=NAME` amo
 controls.py. With NAMEs, those jobs in their order, or all that begin so. Jobs whose CSV is there are skipped.
 A seed whose numbers are no longer finite trains on beside the others; OUT_FOLDER/NAME.log says since when.
 While a job runs, its rows so far are in OUT_FOLDER/NAME.csv.part, so one that is stopped loses only what
-came after its last evaluation. With `--states` its state is kept there, too, and the same command goes on
-from it. `--policies` writes OUT_FOLDER/NAME.K.npz, the policy of seed K (0, 1, ...)
-at the last evaluation, too. `--workers`: so many processes share the GPU, because compiling takes longer
-than training; their clocks say nothing then.
+came after its last evaluation. With `--states` its state is kept there, too, until it is done, and the same
+command goes on from it; compiling once more is in its `seconds`. `--policies` writes OUT_FOLDER/NAME.K.npz,
+the policy of seed K (0, 1, ...) at the last evaluation, too. `--workers`: so many processes share the GPU,
+because compiling takes longer than training; their clocks say nothing then.
 `--late 200 50`: after iteration 200 evaluate every 50 iterations only.
 `table.py` reads the folder.
 """
@@ -73,7 +73,7 @@ def main(about=__doc__, script=__file__, evaluation=None):
     if args.only:
         devices.own_process()
         job, *fields = jobs[args.only].split()
-        states = args.states and args.states / args.only
+        states = args.states and args.states / args.jobs.stem / args.only
         run(args.out / args.only, job, fields, args.policies, args.late, evaluation, states)
         return
 
@@ -128,8 +128,10 @@ def run(
     evaluate = evaluation(config) if evaluation else program.evaluate
     state, steps, seconds, first, rows = program.state, schedule.sim_steps(config), 0.0, 0, []
     since: dict[int, str] = {}
+    about = " ".join([job, *fields]), late
     if states and states.exists():
-        state, seconds, first, rows = kept(states, state)
+        state, seconds, first, rows, since = kept(states, state, about)
+        write(part, rows)
     for last in evaluations(config, late):
         if last <= first:  # before it was stopped
             continue
@@ -143,34 +145,40 @@ def run(
             to.with_name(f"{to.name}.log").write_text("".join(since.values()))
         found = measured(evaluate(state), trained)
         for s in range(seeds):
-            about = {"job": " ".join([job, *fields]), "seed": config.run.seed + s}
+            whose = {"job": about[0], "seed": config.run.seed + s}
             when = {
                 "iteration": last,
                 "sim_steps": int(steps[last - 1]),
                 "seconds": f"{seconds:.4g}",
             }
-            rows.append(about | when | {name: text(x[s]) for name, x in found.items()})
+            rows.append(whose | when | {name: text(x[s]) for name, x in found.items()})
         write(part, rows)
-        if states:
-            keep(states, state, seconds, first, rows)
         if policies:
             save_policies(to, state, config, last, int(steps[last - 1]))
+        if states:
+            keep(states, state, about, seconds, first, rows, since)
     part.replace(to.with_name(f"{to.name}.csv"))
+    if states:
+        states.unlink(missing_ok=True)
 
 
-def keep(path: Path, state, *rest) -> None:
-    """Write the arrays of a state and what belongs to it, whole or not at all."""
+def keep(path: Path, state, about, *rest) -> None:
+    """Write the arrays of a state, `about` which job, and what belongs to it, whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
     raw, _ = distributed.raw_keys(state)
     whole = path.with_name(f"{path.name}.new")
-    whole.write_bytes(pickle.dumps((jax.device_get(jax.tree.leaves(raw)), *rest)))
+    whole.write_bytes(pickle.dumps((about, jax.device_get(jax.tree.leaves(raw)), *rest)))
     whole.replace(path)
 
 
-def kept(path: Path, like) -> tuple:
-    """`(state, *rest)` of `keep`; `like` is a state of the same program."""
+def kept(path: Path, like, about) -> tuple:
+    """`(state, *rest)` of `keep`; `like` is a state of the same program. SystemExit if it is another's."""
     raw, wrap = distributed.raw_keys(like)
-    leaves, *rest = pickle.loads(path.read_bytes())
+    found, leaves, *rest = pickle.loads(path.read_bytes())
+    if found != about:
+        raise SystemExit(
+            f"{path} is of {found}, expected {about}; remove it, or choose other --states"
+        )
     leaves = [
         jax.device_put(x, old.sharding) for x, old in zip(leaves, jax.tree.leaves(raw), strict=True)
     ]
