@@ -86,6 +86,12 @@ def options(folder: Path, of: argparse.ArgumentParser) -> argparse.Namespace:
     return args
 
 
+def jobs(path: Path) -> dict[str, str]:
+    """`name -> the rest of its line` of a file of jobs; empty lines are left out."""
+    lines = path.read_text().splitlines()
+    return dict(line.split(maxsplit=1) for line in lines if line.strip())
+
+
 def chosen(jobs: Iterable[str], names: Sequence[str]) -> list[str]:
     """The jobs that `names` ask for, in their order: the one of that very name, else all that begin so. All
     without names; SystemExit where there is none."""

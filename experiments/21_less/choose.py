@@ -29,9 +29,7 @@ def main():
     parser.add_argument("--num-seeds", type=int, default=10)
     parser.add_argument("--level", action="store_true")
     args = parser.parse_args()
-    jobs = dict(
-        line.split(maxsplit=1) for line in args.jobs.read_text().splitlines() if line.strip()
-    )
+    jobs = paper.jobs(args.jobs)
     found = table.read(args.folder)
     if missing := [name for name in jobs if name not in found]:
         raise SystemExit(f"{args.folder} lacks {', '.join(missing)}; run them first")

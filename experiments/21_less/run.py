@@ -67,9 +67,7 @@ def main(about=__doc__, script=__file__, evaluation=None):
     parser.add_argument("--only", help="run this job of the file in this process")
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
-    jobs = dict(
-        line.split(maxsplit=1) for line in args.jobs.read_text().splitlines() if line.strip()
-    )
+    jobs = paper.jobs(args.jobs)
     if args.only:
         devices.own_process()
         job, *fields = jobs[args.only].split()

@@ -31,8 +31,7 @@ def main():
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1])
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
-    lines = (line.split(maxsplit=1) for line in args.jobs.read_text().splitlines() if line.strip())
-    jobs = dict(lines)
+    jobs = paper.jobs(args.jobs)
     chosen = paper.chosen(jobs, args.names)
     with ThreadPoolExecutor(args.workers) as pool:
         runs = [
