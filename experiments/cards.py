@@ -1,8 +1,8 @@
 """A plan of runs on the GPUs of one host: lanes side by side, the commands of a lane one after the other.
 
-    python experiments/cards.py OUT_FOLDER experiments/next.txt a [--seconds 560]
+    python experiments/cards.py OUT_FOLDER experiments/next.txt a b [--seconds 560]
 
-A line of the plan is `PART LANE SECONDS COMMAND ...`; those of the PART run. A lane is a card's number and a
+A line of the plan is `PART LANE SECONDS COMMAND ...`; those of the parts that are named run. A lane is a card's number and a
 letter: 0a and 0b share card 0, and so do their cores, the host's divided by its cards. They share its memory,
 too: each takes what it needs, where a lane alone takes most of it at once. Runs whose seconds count have a
 card's only lane. `OUT` in a command is OUT_FOLDER. A command is ended after its SECONDS, or when `--seconds`
@@ -45,12 +45,13 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("out", type=Path)
     parser.add_argument("plan", type=Path)
-    parser.add_argument("part")
+    parser.add_argument("parts", nargs="+")
     parser.add_argument("--seconds", type=float, default=float("inf"), help="of all")
     args = parser.parse_args()
-    lines = [line for line in read(args.plan) if line.part == args.part]
-    if not lines:
-        raise SystemExit(f"{args.plan} has no part {args.part!r}")
+    every = list(read(args.plan))
+    if missing := [part for part in args.parts if part not in {line.part for line in every}]:
+        raise SystemExit(f"{args.plan} has no part {missing[0]!r}")
+    lines = [line for line in every if line.part in args.parts]
     args.out.mkdir(parents=True, exist_ok=True)
     end = time.monotonic() + args.seconds
     lanes = list(dict.fromkeys(line.lane for line in lines))

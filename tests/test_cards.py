@@ -30,12 +30,13 @@ a 0a 2 {sys.executable} -c "{child}"
 a 0a 9 sh -c 'echo card $CUDA_VISIBLE_DEVICES in OUT ${{XLA_PYTHON_CLIENT_PREALLOCATE-all}} > OUT/second.txt'
 a 1a 9 false
 a 1b 9 sh -c 'echo $XLA_PYTHON_CLIENT_PREALLOCATE > OUT/third.txt'
-b 0a 9 touch OUT/never.txt
+b 1b 9 touch OUT/fourth.txt
+c 0a 9 touch OUT/never.txt
 """
     )
     out = tmp_path / "out"
     monkeypatch.delenv("XLA_PYTHON_CLIENT_PREALLOCATE", raising=False)
-    monkeypatch.setattr(sys, "argv", ["cards.py", str(out), str(plan), "a", "--seconds", "60"])
+    monkeypatch.setattr(sys, "argv", ["cards.py", str(out), str(plan), "a", "b", "--seconds", "60"])
     began = time.monotonic()
     cards.main()
     assert time.monotonic() - began < 30
@@ -54,6 +55,7 @@ b 0a 9 touch OUT/never.txt
             "1b.log",
             "second.txt",
             "third.txt",
+            "fourth.txt",
         }
 
 
@@ -70,6 +72,15 @@ def test_cards_have_cores_of_their_own():
     assert set(shares[0]) | set(shares[1]) <= every
     assert len(every) < 2 or not set(shares[0]) & set(shares[1])
     assert set(cards.cores(0, 1000)) == every
+
+
+def test_a_part_that_is_none_is_refused_before_one_runs(tmp_path, monkeypatch):
+    plan = tmp_path / "plan.txt"
+    plan.write_text(f"a 0a 9 touch {tmp_path}/never\n")
+    monkeypatch.setattr(sys, "argv", ["cards.py", str(tmp_path / "out"), str(plan), "a", "x"])
+    with pytest.raises(SystemExit, match="has no part 'x'"):
+        cards.main()
+    assert not (tmp_path / "never").exists()
 
 
 @pytest.mark.parametrize("text", ["a 0a soon true", "a 0a", "a x 9 true"])
@@ -110,12 +121,15 @@ def test_what_runs_next_names_scripts_and_jobs_that_there_are():
     lines = list(cards.read(PLAN))
     assert len(lines) > 5
     for line in lines:
-        program, script, *rest = shlex.split(line.command)
+        words, folder = shlex.split(line.command), ROOT
+        if words[:2] == ["env", "-C"]:  # runs there
+            folder, words = ROOT / words[2], words[3:]
+        program, script, *rest = words
         assert program == "python3"
         if script == "-m":  # the bench, whose flags its own parser knows
             assert rest[0] == "dynappo.bench" and bench.parse(rest[1:])
             continue
-        assert (ROOT / script).is_file()
+        assert (folder / script).is_file()
         if not script.endswith("/run.py"):
             continue
         parser = argparse.ArgumentParser()
@@ -127,7 +141,7 @@ def test_what_runs_next_names_scripts_and_jobs_that_there_are():
             assert any(x.command.endswith(f" {given.jobs}") for x in lines[: lines.index(line)])
             continue
         jobs = [
-            job.split()[0] for job in (ROOT / given.jobs).read_text().splitlines() if job.strip()
+            job.split()[0] for job in (folder / given.jobs).read_text().splitlines() if job.strip()
         ]
         for name in given.names:
             if not name.isdigit():  # of a flag
