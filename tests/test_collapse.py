@@ -20,9 +20,10 @@ from dynappo.learner import networks
 from dynappo.model import dynamics, examples
 from dynappo.tasks.velocity import env as env_lib
 from dynappo.tasks.velocity import observe
-from experiments import stats
+from experiments import pictures, stats
 
 controls = importlib.import_module("experiments.19_collapse.controls")
+table = importlib.import_module("experiments.19_collapse.table")
 HERE = Path(__file__).parents[1] / "experiments/19_collapse"
 REAL = 5  # rows of 8
 
@@ -214,44 +215,92 @@ def test_the_jobs_are_valid_and_on_the_page():
         seen.add((job, *sorted(fields)))
 
 
-def test_the_page_has_what_the_papers_tails_without_anchors_had():
-    """Each cell, the differences at iteration 300, and that nothing is below 0.65 of PPO-16."""
-    page, runs = (HERE / "README.md").read_text(), {}
-    with lzma.open(HERE / "results/gpu.csv.xz", "rt", newline="") as file:
-        for row in csv.DictReader(file):
-            if row["batch"] == "first":
-                runs.setdefault(row["name"], []).append(row)
+@pytest.fixture(scope="module")
+def gpu():
+    """Runs of the GPU by job and iteration."""
+    return table.read(HERE / "results/gpu.csv.xz")
 
-    def at(name, iteration, column="return"):
-        return [float(r[column]) for r in runs[name] if r["iteration"] == str(iteration)]
 
-    part = page.split("### On a GPU")[1].split("### On two CPU cores")[0]
-    words, shares = " ".join(part.split()), []
-    for label, name in (("PPO-16", "ppo16"), ("tail",) * 2, ("rebuilt",) * 2, ("unanchored",) * 2):
-        (line,) = (x for x in part.splitlines() if x.replace("`", "").startswith(f"| {label} |"))
-        keys = [(f"{name}-{robot}", k) for robot in "gc" for k in (100, 200, 300)]
-        for key, cell in zip(keys, line.split("|")[2:-1], strict=True):
-            back, falls = np.mean(at(*key)), np.mean(at(*key, "fall_rate"))
-            assert cell.strip() == f"{back:.1f}, {100 * falls:.0f} %", key
-            assert len(at(*key)) == 3
-        shares += [np.mean(at(f"{name}-{x}", 300)) / np.mean(at(f"ppo16-{x}", 300)) for x in "gc"]
-    assert f"the lowest of these is {min(shares):.2f} of PPO-16" in words
-    less = [stats.difference(at(f"rebuilt-{x}", 300), at(f"unanchored-{x}", 300)) for x in "gc"]
-    text = "{:.1f} less than `rebuilt` ({:.1f} less to {:.1f} more)"
-    assert text.format(less[0].value, less[0].high, -less[0].low) in words
-    p = stats.welch_of(at("rebuilt-c", 300), at("unanchored-c", 300))
-    text = "it is {:.1f} less ({:.1f} less to {:.1f} more, p {:.2f} before Holm)"
-    assert text.format(less[1].value, less[1].high, -less[1].low, p) in words
-    both = [
-        [100 * x for x in at(f"{name}-c", 300, "fall_rate")] for name in ("unanchored", "rebuilt")
-    ]
+@pytest.mark.parametrize("title", table.TABLES)
+def test_the_page_has_the_tables_as_they_are_printed(gpu, title):
+    shown = table.shown(gpu, table.TABLES[title])
+    assert shown in (HERE / "README.md").read_text()
+    assert len(shown.splitlines()) > 4
+
+
+def test_a_verdict_is_by_the_rules_of_the_page():
+    """Five seeds each of a better, a worse, an equal and an unclear job; one that has not run counts."""
+    rng = np.random.default_rng(0)
+    means = dict(tail=(40, 0.1), ppo16=(40, 0.1), raw=(44, 0.1), cold=(10, 0.1), unscaled=(40, 0.2))
+    means["unmasked"] = (39, 9.0)
+    seeds = {name: rng.normal(*some, size=5) for name, some in means.items()}
+    seeds["cold"][0] = np.nan  # counts as 0
+
+    def run(returns):
+        rows = [{"return": str(x), "fall_rate": "0.5"} for x in returns]
+        return {100: rows, 300: rows}
+
+    runs = {f"{name}-g": run(returns) for name, returns in seeds.items()}
+    pairs = table.pairs("g", ("raw", "cold", "unscaled", "unmasked", "bootstrap-real"), "tail")
+    found = {pair.job: one for pair, one in table.found(runs, pairs).items()}
+    assert {job: one.verdict for job, one in found.items()} == {
+        "raw": "better",
+        "cold": "worse, **collapsed**",
+        "unscaled": "no difference",
+        "unmasked": "open",
+    }
+    seeds["cold"][0] = 0.0
+    assert found["cold"].share == pytest.approx(seeds["cold"].mean() / seeds["ppo16"].mean())
+    plain = [stats.welch_of(seeds[pair.job], seeds["tail"]) for pair in pairs[:-1]]
+    expected = stats.holm([*plain, 1.0])
+    np.testing.assert_allclose([one.p for one in found.values()], expected[:-1])
+
+
+def test_the_page_says_what_the_tables_do_not(gpu):
+    """Errors of the model, seeds one by one, and differences that were looked for afterwards."""
+    words = " ".join((HERE / "README.md").read_text().split())
+
+    def mean(job, column, iteration=300):
+        return np.mean(table.values(gpu, job, iteration, column))
+
+    jobs = [f"{x}-{robot}" for x in (*table.ONE, "tail") for robot in "gc"]
+    error = {job: mean(job, "model_error_4") for job in jobs}
+    text = "its error is {:.2f} (Go1) and {:.2f} (ANYmal-C), with `tail` {:.2f} and {:.2f}"
+    assert text.format(*(error[f"{x}-{r}"] for x in ("cold", "tail") for r in "gc")) in words
     assert (
-        "{:.1f} points more of the episodes ({:.1f} to {:.1f}".format(*stats.difference(*both))
+        "with `unscaled` {:.2f} and {:.2f}".format(error["unscaled-g"], error["unscaled-c"])
         in words
     )
-    open_ = stats.difference(at("rebuilt-g", 300), at("tail-g", 300))
-    assert f"({-open_.low:.1f} less to {open_.high:.1f} more) leaves it open" in words
-    assert stats.difference(at("rebuilt-c", 300), at("tail-c", 300)).high < 1.3
+    for robot in "gc":
+        one = {x: error[f"{x}-{robot}"] for x in ("tail", "raw", "unscaled", "raw-unscaled")}
+        assert max(one, key=one.__getitem__) == "unscaled"
+        assert max(error, key=lambda x: error[x] * x.endswith(f"-{robot}")) == f"cold-{robot}"
+    loss = [mean(f"{x}-g", "model_loss_before") for x in ("cold", "tail")]
+    assert "Before a fit its loss is {:.2f} on a Go1, with `tail` {:.2f}".format(*loss) in words
+    seeds = table.values(gpu, "cold-g", 300)
+    assert "Go1 have {:.1f}, {:.1f} and {:.1f} after 300 iterations".format(*seeds) in words
+    seeds = table.values(gpu, "best-unanchored-g", 300)
+    assert "({:.1f} at iteration 300, the others {:.1f} and {:.1f})".format(*seeds) in words
+    assert f"({table.values(gpu, 'best-unanchored-g', 500)[0]:.1f} at 500)" in words
+    assert min(table.values(gpu, "best-anchored-g", 300)) > 38
+    at = [mean(f"best-{x}anchored-{r}", "return", 100) for r in "gc" for x in ("un", "")]
+    text = "It is {:.1f} instead of {:.1f} on a Go1, {:.1f} instead of {:.1f} on an ANYmal-C"
+    assert text.format(*at) in words
+    falls = [
+        100 * np.array(table.values(gpu, f"{x}-c", 300, "fall_rate"))
+        for x in ("unanchored", "rebuilt")
+    ]
+    more = stats.difference(*falls)
+    assert "{:.1f} points more of the episodes ({:.1f} to {:.1f},".format(*more) in words
+    less = stats.difference(*(table.values(gpu, x, 500) for x in ("rows24-g", "dose16-falls-g")))
+    assert "{:.1f} less than 24 real ones ({:.1f} to {:.1f}".format(*less) in words
+    others = [
+        one.share
+        for title in list(table.TABLES)[:1]
+        for pair, one in table.found(gpu, table.TABLES[title]).items()
+        if pair.job != "cold"
+    ]
+    assert f"The lowest is {min(others):.2f} of PPO-16" in words
 
 
 def test_the_page_has_what_the_runs_without_anchors_had():
@@ -291,3 +340,23 @@ def test_the_page_has_what_the_runs_without_anchors_had():
     assert told in words
     falls = [100 * np.mean(means(x, "fall_rate")) for x in ("unanchored", "rebuilt")]
     assert "{:.0f} % instead of {:.0f} %".format(*falls) in words
+
+
+def test_the_picture_is_of_these_runs(monkeypatch):
+    """Each dose and each curve is a line through the means that the tables have."""
+    plt = pytest.importorskip("matplotlib.pyplot")
+    plot, pages = importlib.import_module("experiments.19_collapse.plot"), []
+    monkeypatch.setattr(pictures, "save", lambda page, path, **_: pages.append((page, path.name)))
+    monkeypatch.setattr("sys.argv", ["plot.py"])
+    plot.main()
+    ((page, name),) = pages
+    assert name == "collapse" and (HERE / "collapse.png").exists()
+    runs = table.read(HERE / "results/gpu.csv.xz")
+    lines = {line.get_label(): line.get_ydata() for line in page.axes[0].lines}
+    jobs = ["rows24-g", *(f"dose{rows}-g" for rows in table.DOSES)]
+    means = [np.mean(table.values(runs, job, 500)) for job in jobs]
+    np.testing.assert_allclose(lines["with the tail"], means)
+    lines = {line.get_label(): line.get_ydata() for line in page.axes[5].lines}
+    falls = [100 * np.mean(table.values(runs, "cold-g", k, "fall_rate")) for k in (100, 200, 300)]
+    np.testing.assert_allclose(lines["new weights in each fit"], falls)
+    plt.close("all")

@@ -1746,6 +1746,22 @@ def test_times_of_table_i_are_measured_once_a_cell_and_beside_the_papers(tmp_pat
     assert f"3 cells: {np.corrcoef(both)[0, 1]:.3f}" in out
 
 
+def test_the_times_of_table_i_are_those_of_the_page():
+    """Cell by cell; how many times as fast, and what robots cost."""
+    page = (EXPERIMENTS / "10_ablation/README.md").read_text()
+    rows = paper.rows(EXPERIMENTS / "10_ablation/times.csv")
+    shown, _, said = script("10_ablation/times").table(rows).rpartition("\n")
+    assert shown in page
+    words = " ".join(page.split())
+    assert f"is {float(said.split(': ')[1])} over these {len(rows)} cells" in words
+    ours = {(row["envs"], row["horizon"]): row["ms"] / 2 for row in rows}
+    theirs = {(row["envs"], row["horizon"]): row["time_min"] for row in paper.table("ablation")}
+    faster = [60 * theirs[cell] / ours[cell] for cell in ours]
+    assert f"{min(faster):.0f} to {max(faster):.0f} times as fast" in words
+    more = [of[8192, 16] / of[1024, 16] for of in (ours, theirs)]
+    assert "it takes {:.1f} times as long, in the paper {:.1f} times".format(*more) in words
+
+
 def test_jobs_of_few_robots_are_valid_and_evaluated_on_the_way_to_45_thousand_steps():
     """Of 27_few: `robots-R` has R robots and a memory for all rows up to there. With up to 64 robots there
     are ten evaluations until 45 thousand steps, which every run reaches. Smaller steps begin at the share of
