@@ -356,18 +356,23 @@ def measured():
     for robot, letter in ROBOTS.items():
         rest = "M steps", "H200", *FRESH, HEADLINE
         again = *rest[:2], "2026-11-28", "503dba45", HEADLINE
-        for run, title in (("best", ""), ("ppo", " PPO"), ("ppo-walk", " PPO")):
+        level_of = *rest[:2], "2026-11-28", "71c94de1", HEADLINE
+        for run, title in (("best", ""), ("ppo-level", " PPO"), ("ppo-walk", " PPO")):
             job = jobs[f"{run}-{letter}"]
             level = walks.level(table["best"](job))
             found = table["reached"](table["seeds"](job), level)
-            if run != "ppo":  # tuned for the level
+            if run != "ppo-level":
                 yield (
                     f"{robot}{title} walks",
                     million(found.walks),
                     *(rest if run == "best" else again),
                 )
             if run != "ppo-walk":
-                yield f"{robot}{title} first at {level:g}", million(found.level), *rest
+                yield (
+                    f"{robot}{title} first at {level:g}",
+                    million(found.level),
+                    *(rest if run == "best" else level_of),
+                )
         runs = table["seeds"](jobs[f"best-{letter}"])
         falls = 100 * np.mean([table["first"](run, level, "fall_rate") for run in runs])
         yield f"{robot} falls, first at {level:g}", f"{falls:.6g}", "%", *rest[1:]

@@ -1614,14 +1614,45 @@ def test_the_table_of_ppos_grid_is_that_of_its_runs():
             for job in (jobs[f"grid-{name}-{letter}"], head[f"ppo-walk-{letter}"])
         ]
         assert fields[0] == fields[1] and len(fields[0]) == 5
+        soon = min(level[letter], key=level[letter].__getitem__)
+        fields = [
+            {f for f in job[0]["job"].split() if f.split("=")[0] in same}
+            for job in (jobs[f"grid-{soon}-{letter}"], head[f"ppo-level-{letter}"])
+        ]
+        assert fields[0] == fields[1]
     words = " ".join(part.split())
     soonest = [min(some.values()) for some in level.values()]
     text = "need {:.2f} (128 robots, KL 0.04), {:.2f} (KL 0.03), {:.2f} and {:.2f} (KL 0.05)"
     assert text.format(*soonest) in words
-    text = "need {:.2f} to {:.2f} M on three tuning seeds"
-    assert text.format(min(soonest), max(soonest)) in " ".join(
+    fresh = [ours_of(f"ppo-level-{x}") for x in "ghcd"]
+    text = "need {:.2f}, {:.2f}, {:.2f} and {:.2f} M"
+    means = [x.level.mean() / 1e6 for x in fresh]
+    assert f"seeds (1300 to 1309) {text.format(*means)}. So" in words
+    assert text.replace("need", "needs").format(*means) in " ".join(
         (LESS / "README.md").read_text().split()
     )
+    gained = [
+        stats.difference(ours_of(f"ppo-{x}").level / 1e6, one.level / 1e6)
+        for x, one in zip("ghcd", fresh, strict=True)
+    ]
+    assert "on a Go1 the grid gained {:.2f} M ({:.2f} to {:.2f})".format(*gained[0]) in words
+    assert all(one.low < 0 for one in gained[1:])
+    text = "after {:.2f} (one never), {:.2f}, {:.2f} (one never) and {:.2f} M (five never)"
+    assert text.format(*(np.nanmean(x.walks) / 1e6 for x in fresh)) in words
+    assert [int(np.isnan(x.walks).sum()) for x in fresh] == [1, 0, 1, 5]
+    _, others = less("ppo")
+    thirty = {
+        n: reached_of(others[f"{n}-g"], 30) / 1e6
+        for n in ("deploy-256", "deploy-512", "deploy-1024")
+    }
+    text = "30 comes after {:.2f} M (one of three never), {:.2f} and {:.2f}."
+    assert text.format(*(np.nanmean(x) for x in thirty.values())) in words
+    assert [int(np.isnan(x).sum()) for x in thirty.values()] == [1, 0, 0]
+    exact = [reached_of(others[f"exact-{n}-g"], 38) / 1e6 for n in (256, 512)]
+    text = "are at 38 after {:.2f} M ({:.2f}), and two of three walk, after 3.26; 512 need {:.2f} ({:.2f})"
+    assert text.format(*(f(x) for x in exact for f in (np.mean, np.max))) in words
+    sooner = stats.difference(ours_of("ppo-walk-h").walks / 1e6, fresh[1].walks / 1e6)
+    assert "by {:.2f} M ({:.2f} to {:.2f}, uncorrected)".format(*sooner) in words
     ours = [ours_of(f"ppo-walk-{x}") for x in "ghcd"]
     text = "after {:.2f} M (one of ten never), {:.2f}, {:.2f} (two never) and {:.2f} (one never)"
     assert text.format(*(np.nanmean(x.walks) / 1e6 for x in ours)) in words
@@ -2494,7 +2525,12 @@ def test_a_run_tells_what_its_task_has():
     assert measured({"return": 3.0}, {"terrain_row": np.ones(4)})["terrain_row"].shape == (1,)
 
 
-RUNS = {"**`best`**": "best", "PPO": "ppo", "PPO, to walk": "ppo-walk"}
+RUNS = {
+    "**`best`**": "best",
+    "PPO": "ppo",
+    "PPO, to the level": "ppo-level",
+    "PPO, to walk": "ppo-walk",
+}
 LOW_FEET = {"**`best`**": "best", "PPO, same task": "ppo-task", "PPO, as before": "ppo"}
 OLDER = {  # rows of the table of older runs -> names in fresh.csv.xz
     "`best` of then": "new",
@@ -2537,7 +2573,7 @@ def test_the_tables_of_the_headline_are_those_of_its_runs():
     (table, jobs), page = less("headline"), (LESS / "tables.md").read_text()
     assert {len(table.seeds(job)) for job in jobs.values()} == {10}
     found = rows_of(page, RUNS, 11)
-    assert found.keys() == jobs.keys() and len(jobs) == 12
+    assert found.keys() == jobs.keys() and len(jobs) == 16
     for name, mine in found.items():
         first, fell = steps_and_falls(table, name, jobs[name])
         assert mine == [*first[:2], fell[1], first[2], fell[4], *first[5:]], name
@@ -2548,7 +2584,7 @@ def test_the_tables_of_the_headline_are_those_of_its_runs():
         row[0]: row[1:] for row in map(cells, table.at(jobs, millions).splitlines()[2:])
     } == steps
     lines = map(cells, table.beside(jobs).splitlines()[2:])
-    assert {row[0]: row[1:] for row in lines} == beside and len(beside) == 8
+    assert {row[0]: row[1:] for row in lines} == beside and len(beside) == 12
     short = {name: [*full[:3], steps[name][-1]] for name, full in found.items()}
     assert rows_of(front, RUNS, 5) == short  # the page's own table is of these columns
     mine = {f"best-{letter}": jobs[f"best-{letter}"] for letter in LETTERS.values()}
@@ -2707,7 +2743,11 @@ def test_what_the_page_of_controls_says_is_so():
 
 def test_the_page_of_results_has_the_numbers_of_both():
     page = (ROOT / "docs/results.md").read_text()
-    runs = {"`best`": "best", "PPO alone *": "ppo", "PPO alone, to walk †": "ppo-walk"}
+    runs = {
+        "`best`": "best",
+        "PPO alone, to the level *": "ppo-level",
+        "PPO alone, to walk †": "ppo-walk",
+    }
     older = {"PPO-16, 4096 robots, older": "ppo16", "PPO-24, 4096 robots, older": "ppo24"}
     rows = [cells(line) for line in page.splitlines() if cells(line)[0] in LETTERS]
     assert len(rows) == 20
@@ -2883,7 +2923,7 @@ def test_the_readmes_table_says_what_the_runs_did():
         ("anymal_d", "ANYmal-D"),
     ):
         mine, ppo, to_walk = (
-            jobs[f"{name}-{LETTERS[label]}"] for name in ("best", "ppo", "ppo-walk")
+            jobs[f"{name}-{LETTERS[label]}"] for name in ("best", "ppo-level", "ppo-walk")
         )
         level = script("14_efficiency").LEVEL[robot]
         ours, theirs, walking = (
@@ -2911,7 +2951,7 @@ def test_the_readmes_table_says_what_the_runs_did():
         ratio = float(sixteen["sim_steps_M_mean"]) * 1e6 / ours.level.mean()
         assert 47 < ratio < 57  # "about a fiftieth"
         less_than = theirs.level.mean() / ours.level.mean()
-        assert round(less_than) == (5 if robot.startswith("go") else 3)  # "a fifth", "a third"
+        assert round(less_than) == (4 if robot.startswith("go") else 3)  # "a quarter", "a third"
         columns = paper.sim_steps(
             f"configs/{robot}.py:best", 150 if robot.startswith("go") else 110
         )
@@ -2919,12 +2959,18 @@ def test_the_readmes_table_says_what_the_runs_did():
     text = " ".join(page.split())
     first, walks = (np.mean(x) / 1e6 for x in (ours_of("best-g").level, ours_of("best-g").walks))
     assert f"commands after {first:.2f} million" in text and f"after {walks:.2f} million" in text
-    steps = [np.mean(ours_of("ppo-g").level), np.nanmean(ours_of("ppo-walk-g").walks)]
+    steps = [np.mean(ours_of("ppo-level-g").level), np.nanmean(ours_of("ppo-walk-g").walks)]
     steps = [x / 1e6 for x in steps]
     text = " ".join(text.split())
     assert (
         "needs {:.1f} million to follow commands and {:.1f} million to walk".format(*steps) in text
     )
+
+
+def reached_of(job, level):
+    """Steps of each seed to a return."""
+    table, _ = less("ppo")
+    return table.reached(table.seeds(job), level).level
 
 
 def ours_of(name, results="headline"):

@@ -220,7 +220,7 @@ def beside(jobs) -> str:
     `best` returns more and, in points of per cent, falls more, at 2 M steps and where PPO ends."""
     head = ["", "to the level", "until it walks", "return at 2 M", "at PPO's end"]
     head, lines = [*head, "p that they are equal", "falls at 2 M", "at PPO's end"], []
-    for letter, name in itertools.product("ghcd", ("ppo-task", "ppo", "ppo-walk")):
+    for letter, name in itertools.product("ghcd", ("ppo-task", "ppo", "ppo-level", "ppo-walk")):
         if f"{name}-{letter}" not in jobs:
             continue
         mine, ppo = jobs[f"best-{letter}"], jobs[f"{name}-{letter}"]
