@@ -4299,6 +4299,86 @@ def test_the_table_of_other_methods_with_few_robots_is_that_of_its_runs():
     )
 
 
+def test_settings_of_other_methods_with_few_robots_are_as_the_page_says():
+    """Of peers_tune.csv: the table, which settings are whole, cut off or not begun, and CrossQ beside
+    `few`."""
+    few = EXPERIMENTS / "27_few"
+    part = (few / "peers.md").read_text().split("## With settings for few robots")[1]
+    words, found = " ".join(part.split()), {}
+    with (few / "peers_tune.csv").open() as file:
+        for row in csv.DictReader(file):
+            run = found.setdefault(row["name"], {}).setdefault(int(row["seed"]), {})
+            run[int(row["sim_steps"])] = float(row["return"]), 100 * float(row["fall_rate"])
+    jobs = [line.split()[0] for line in (few / "peers_tune.txt").read_text().splitlines()]
+    assert found.keys() < set(jobs) and (len(jobs), len(found)) == (21, 5)
+    assert "21 settings" in words and "the other 16 have not run" in words
+    rows = {
+        re.search(r"\(`(.+)`\)", x)[1]: cells(x)
+        for x in part.splitlines()
+        if "(`" in x and x[0] == "|"
+    }
+    heads = [13e3, 26e3, 38e3, 51e3, 102e3]
+    assert [f"{at / 1e3:.0f} k" for at in heads] == [
+        x.removesuffix(" steps")
+        for x in cells(next(x for x in part.splitlines() if x[0:1] == "|"))[2:-1]
+    ]
+    assert rows.keys() == found.keys()
+    for name, runs in found.items():
+        _, seeds, *told, end = rows[name]
+        assert sorted(runs) == [*range(int(seeds))]
+        steps = sorted(set.intersection(*(set(run) for run in runs.values())))
+        assert {max(run) for run in runs.values()} == {steps[-1]}
+        assert ("cut off" in end) == (steps[-1] < 204_800), name
+        at, _, last = end.removesuffix("; cut off").partition(": ")
+        for where, cell in [*zip(heads, told, strict=True), (float(at.split()[0]) * 1e3, last)]:
+            near = min(steps, key=lambda x: abs(x - where))
+            close = abs(near - where) < 0.11 * where and (where <= steps[-1] + 500)
+            assert close == bool(cell), (name, where)
+            if cell:
+                assert shows(cell, *np.mean([run[near] for run in runs.values()], 0)), (name, where)
+    runs = found["crossq"].values()
+    ends = [[run[at] for at in sorted(run)][-4:] for run in runs]
+    assert [max(run) for run in runs] == [121_600] * 2
+    assert all(return_ < 38 for run in runs for return_, _ in run.values())
+    assert "two seeds end at {:.1f} and {:.1f}, in".format(*(run[-1][0] for run in ends)) in words
+    assert [run[-1][1] for run in ends] == [
+        0,
+        0,
+    ] and "in the last evaluation without a fall" in words
+    falls = [np.mean([x[1] for x in run]) for run in ends]
+    assert shows(re.search(r"in the last four with (.+?) %", words)[1], *falls)
+    first, tuned = few_of("feet", "fresh-g")[1].level, few_of("parts-cut", "part-whole-g")[1].level
+    told = f"after {first.mean() / 1e3:.1f} k (ten fresh seeds; the tuning seeds 0 to 4:"
+    told += f" {tuned.mean() / 1e3:.1f})"
+    assert told in words and "more than nine times its steps" in words
+    assert 10 > 121_600 / first.mean() > 121_600 / tuned.mean() > 9
+    to_30 = [min(at for at, one in run.items() if one[0] >= 30) / 1e3 for run in runs]
+    few_to_30 = [
+        next(r["sim_steps"] for r in run if r["return"] >= 30) / 1e3
+        for run in few_of("feet", "fresh-g")[0]
+    ]
+    told = "To a return of 30 it needs {:.1f} and {:.1f} k, `few` {:.1f} k;"
+    assert told.format(*to_30, np.mean(few_to_30)) in words
+    at_32 = [
+        np.mean([run[32_000][0] for run in found[x].values()]) for x in ("crossq-u256", "crossq")
+    ]
+    assert "with 256 it has {:.1f} after 32 k, with 64 {:.1f}".format(*at_32) in words
+    ends = [run[204_800][0] for name in ("sac-u16", "sac-b512") for run in found[name].values()]
+    told = (
+        "`sac-u16` are at {:.1f} and {:.1f} after 205 k, those of `sac-b512` at {:.1f} and {:.1f}"
+    )
+    assert told.format(*ends) in words
+    text = " ".join((few / "README.md").read_text().split())
+    wide = [np.mean([run[at][0] for run in runs]) for at in (51_200, 121_600)]
+    told = "has {:.0f} there. After 122,000, where its runs were cut off, it has {:.0f}, in more than nine"
+    assert told.format(*wide) in text
+    told = "with wide critics {:.0f} after 122 k), SAC (2; in other settings {:.0f} and {:.0f} after 205 k)"
+    assert told.format(wide[1], np.mean(ends[:2]), np.mean(ends[2:])) in text
+    assert f"CrossQ with wide critics is at {wide[1]:.0f} after 122" in " ".join(
+        (few / "peers.md").read_text().split()
+    )
+
+
 def test_peers_have_the_task_of_a_config():
     """The robots of SAC, CrossQ and FastTD3: observations, rewards and ends are those of the environment."""
     sac = script("24_off_policy/sac")
