@@ -2087,24 +2087,29 @@ def test_what_anchors_are_worth_with_few_robots_is_as_the_page_says():
         )
 
 
-PARTS_OF_FEW = {  # what parts.md takes out -> its job, robots of which it ran
-    "nothing: `few`": ("whole", "ghcd"),
-    "imagined robots: 1 for each real one, not 64": ("imagined1", "ghcd"),
-    "remembered rows in the fit": ("remembered", "ghcd"),
-    "a memory": ("memory", "ghcd"),
-    "rounds: 1, not 3 (so no anchors and no new commands)": ("rounds1", "ghcd"),
-    "a symmetric model": ("symmetry", "ghcd"),
-    "anchors: tails begin in rows of the iteration": ("anchors", "ghcd"),
-    "new commands": ("commands", "gc"),
-    "smaller steps late (half of the KL)": ("late", "gc"),
+PARTS_OF_FEW = {  # what parts.md takes out -> its job
+    "nothing: `few`": "whole",
+    "imagined robots: 1 for each real one, not 64": "imagined1",
+    "remembered rows in the fit": "remembered",
+    "a memory": "memory",
+    "rounds: 1, not 3 (so no anchors and no new commands)": "rounds1",
+    "a symmetric model": "symmetry",
+    "anchors: tails begin in rows of the iteration": "anchors",
+    "old rows: only a robot's newest 100 are kept": "age100",
+    "new commands": "commands",
+    "smaller steps late (half of the KL)": "late",
 }
 
 
 def batch_of_part(part, robot):
     """The batch of a cell of parts.md, as the page says."""
+    if part == "age100":
+        return "age"
     if part not in ("whole", "memory", "commands", "late"):
         return "parts-2"
-    return "parts-cut" if robot in "gc" else "one-commit"
+    if robot in "gc":
+        return "parts-cut"
+    return "parts-3" if part in ("commands", "late") else "one-commit"
 
 
 def when_nan(batch, name):
@@ -2124,14 +2129,9 @@ def test_the_table_of_the_parts_of_few_is_that_of_its_runs():
     robots = rows.pop("without")
     rows.pop("---")
     assert robots == ["Go1", "Go2", "ANYmal-C", "ANYmal-D"] and rows.keys() == PARTS_OF_FEW.keys()
-    for label, (part, ran) in PARTS_OF_FEW.items():
-        for robot, cell in itertools.zip_longest("ghcd", rows[label], fillvalue=""):
+    for label, part in PARTS_OF_FEW.items():
+        for robot, cell in zip("ghcd", rows[label], strict=True):
             batch, name = batch_of_part(part, robot), f"part-{part}-{robot}"
-            if robot not in ran:
-                assert cell == "" and all(
-                    name not in few_jobs(b) for b in ("parts-2", "one-commit")
-                )
-                continue
             cut = cell.endswith(" \\*")
             assert cut == (batch == "parts-cut")
             when, falls, walk = cell.removesuffix(" \\*").split("; ")
@@ -2245,6 +2245,149 @@ def test_what_the_parts_of_few_are_worth_is_as_the_page_says():
         for name in ("commands", "now")
     ]
     assert "{:.0f} instead of {:.0f} k (Go1) and {:.0f} instead of {:.0f} k".format(*best) in text
+
+
+def around_of_pairs(pairs, robots=()):
+    """Mean of differences, half of its 95 % interval and p; with `robots`, pairs of lists of seeds, those of
+    the unpaired interval within robots."""
+    pairs, n = np.asarray(pairs), len(pairs)
+    df, error = n - 1, pairs.std(ddof=1) / n**0.5
+    if robots:
+        error = sum((np.var(x, ddof=1) + np.var(y, ddof=1)) / 5 for x, y in robots) ** 0.5 / 4
+        df = 32
+    p = 2 * scipy.stats.t.sf(abs(pairs.mean()) / error, df)
+    return pairs.mean(), scipy.stats.t.ppf(0.975, df) * error, p
+
+
+def test_what_the_other_parts_of_few_are_worth_is_as_the_page_says():
+    """Old rows, new commands, smaller steps late: pairs of equal seeds over four robots, and falls of the
+    four evaluations from 26 to 34 k, which all have."""
+    page = (EXPERIMENTS / "27_few/parts.md").read_text()
+    words = " ".join(page.split("## What takes the last falls away")[0].split())
+
+    def seeds(part, robot, least=26e3, most=34.2e3):
+        runs = few_of(batch_of_part(part, robot), f"part-{part}-{robot}")[0]
+        some = [
+            [r["fall_rate"] for r in run if least <= r["sim_steps"] <= most][-4:] for run in runs
+        ]
+        return 100 * np.mean(some, 1)
+
+    def level(part, robot):
+        got = few_of(batch_of_part(part, robot), f"part-{part}-{robot}")[1].level / 1e3
+        return np.where(np.isnan(got), 44.032, got)
+
+    parts, tests = ("age100", "commands", "late"), {}
+    for part in parts:
+        for of in (level, seeds):
+            pairs = np.concatenate([of(part, x) - of("whole", x) for x in "ghcd"])
+            tests[part, of] = around_of_pairs(pairs)
+    holm = dict(zip(tests, stats.holm([p for *_, p in tests.values()]), strict=True))
+    assert [key for key, p in holm.items() if p < 0.05] == [("commands", seeds)]
+
+    def sooner(mean, half):
+        return f"({half - mean:.1f} sooner to {mean + half:.1f} later)"
+
+    mean, half, p = tests["commands", seeds]
+    told = f"{mean:.1f} % more of the episodes have a fall without them, in the mean of 20 pairs of equal"
+    told += f" seeds (95 % from {mean - half:.1f} to {mean + half:.1f} more, p {p:.3f})"
+    assert f"From 26 to 34 k {told}." in words
+    assert f"the one below, p is {holm['commands', seeds]:.3f}." in words
+    text = " ".join((EXPERIMENTS / "27_few/README.md").read_text().split())
+    assert f"(without them {mean:.1f} % more episodes have a fall, over the four)" in text
+    assert (
+        "no difference to the level is shown for 19 of 20 seeds. One ANYmal-C is not there" in text
+    )
+    robots = [(seeds("commands", x), seeds("whole", x)) for x in "ghcd"]
+    _, half, p = around_of_pairs(np.concatenate([x - y for x, y in robots]), robots)
+    assert p < 0.05 and f"it is {mean - half:.1f} to {mean + half:.1f} more. Each robot" in words
+    told = re.search(r"Each robot falls more, in (.+?) instead of (.+?), but on none", words)
+    for text, column in zip(told.groups(), zip(*robots, strict=True), strict=True):
+        assert shows(text, *(np.mean(x) for x in column))
+    assert all(np.mean(x) > np.mean(y) and stats.welch_of(x, y) > 0.05 for x, y in robots)
+    new = [seeds("commands", x, 0, np.inf) - seeds("whole", x, 0, np.inf) for x in "hd"]
+    mean, half, _ = around_of_pairs(np.concatenate(new))
+    told = f"evaluations {mean:.1f} % more (ten pairs, {half - mean:.1f} fewer to {mean + half:.1f} more)"
+    assert told in words
+    mean, half, _ = tests["commands", level]
+    assert f"{-mean:.1f} k steps sooner without {sooner(mean, half)}" in words
+
+    mean, half, p = tests["late", seeds]
+    told = f"{-mean:.1f} % fewer of the episodes have a fall without them (20 pairs, {half - mean:.1f} fewer"
+    assert f"{told} to {mean + half:.1f} more, p {p:.2f})" in words
+    config = config_lib.load("configs/go1.py:few")
+    steps = schedule.sim_steps(config_lib.validate(config))
+    assert f"begin at {steps[config.schedule.late_from - 1] / 1e3:.1f} k" in words
+    ends = {
+        (part, x): [seeds(part, x, 0, np.inf), seeds("whole", x, 0, np.inf)]
+        for part in parts
+        for x in "hd"
+    }
+    corrected = dict(
+        zip(ends, stats.holm([stats.welch_of(*pair) for pair in ends.values()]), strict=True)
+    )
+    got = stats.difference(*ends["late", "d"])
+    told = f"({-got.high:.1f} to {-got.low:.1f} fewer, Welch's p {stats.welch_of(*ends['late', 'd']):.3f},"
+    assert f"{told} {corrected['late', 'd']:.3f} by Holm of six such, seen afterwards)" in words
+    got = stats.difference(*ends["late", "h"])
+    assert f"({-got.low:.1f} fewer to {got.high:.1f} more). But fresh" in words
+    told = re.search(r"ANYmal-D has ([\d.]+) instead of ([\d.]+) % without", words).groups()
+    told += re.search(r"Go2 ([\d.]+) instead of ([\d.]+) \(", words).groups()
+    means = [np.mean(x) for robot in "dh" for x in ends["late", robot]]
+    assert all(shows(x, mean) for x, mean in zip(told, means, strict=True))
+    assert f"[{falls_of('feet', 'fresh-d'):.1f} %, too]" in words
+    for robot in "ghcd":
+        some = seeds("late", robot), seeds("whole", robot)
+        assert stats.welch_of(*some) > 0.05 and np.mean(some[0]) < np.mean(some[1])
+
+    mean, half, _ = tests["age100", level]
+    assert f"it is {mean:.1f} k later {sooner(mean, half)}" in words
+    raw = np.concatenate([few_of("age", f"part-age100-{x}")[1].level / 1e3 for x in "ghcd"])
+    pairs = raw - np.concatenate([level("whole", x) for x in "ghcd"])
+    assert np.isnan(pairs).nonzero()[0].tolist() == [10]
+    mean, half, _ = around_of_pairs(pairs[np.isfinite(pairs)])
+    told = f"19 of 20 runs get there, {-mean:.1f} k steps sooner than the run of the same seed (95 % from"
+    assert f"{told} {half - mean:.1f} sooner to {mean + half:.1f} later)" in words
+    mean, half, _ = tests["age100", seeds]
+    told = f"in the mean {mean:.1f} % more than with all rows ({half - mean:.1f} fewer"
+    assert f"{told} to {mean + half:.1f} more)" in words
+    told = re.search(r"From 26 to 34 k ([^%]+) % of the episodes have a fall, in the mean", words)
+    assert shows(told[1], *(np.mean(seeds("age100", x)) for x in "ghcd"))
+    runs = {
+        (x, i): run for x in "ghcd" for i, run in enumerate(few_of("age", f"part-age100-{x}")[0])
+    }
+    lost = {  # where all but one in a hundred fall
+        key: [r["sim_steps"] / 1e3 for r in run if r["fall_rate"] >= 0.99 and r["sim_steps"] > 1e4]
+        for key, run in runs.items()
+    }
+    lost = {key: [f"{k:.0f}" for k in at] for key, at in lost.items() if at}
+    assert lost == {
+        ("g", 4): ["11", "13", "16"],
+        ("c", 0): ["13", "16", "18", "21", "34", "36", "39"],
+    }
+    assert (
+        "two runs fall in 99 % of their episodes or more for a while: a Go1 from 11 to 16 k"
+        in words
+    )
+    assert "the twentieth, an ANYmal-C, from 13 to 21 k and from 34 to 39 k. It is" in words
+    last = few_of("age", "part-age100-c")[0][0][-1]["return"]
+    assert shows(re.search(r"is at ([\d.]+) at the end, just below", words)[1], last)
+    others = [
+        run
+        for x in "ghcd"
+        for job in ((batch_of_part("whole", x), f"part-whole-{x}"), ("feet", f"fresh-{x}"))
+        for run in few_of(*job)[0]
+    ]
+    mine, its = (
+        np.array([max(r["fall_rate"] for r in run if r["sim_steps"] > 15e3) for run in some])
+        for some in (runs.values(), others)
+    )
+    assert (len(its), max(its)) == (50, 0.12) and "at most 12 % in each of 50 runs" in words
+    assert [np.sum(x > 0.9) for x in (mine, its)] == [2, 0]
+    fisher = scipy.stats.fisher_exact([[2, 18], [0, 50]])[1]
+    assert (
+        f"(2 of 20 and 0 of 50 have more than 90: Fisher's p {fisher:.2f}, seen afterwards)"
+        in words
+    )
 
 
 HUMANOID = EXPERIMENTS / "25_humanoid"
