@@ -39,6 +39,7 @@ COMMITS = {  # of batches of SECONDS; rows of the first do not have theirs
     "H200, 2026-11-28, fourth host": "a6010c44",
     "H200, 2026-11-28, fifth host": "a6010c44",
     "H200, 2026-11-28, sixth host": "503dba45",
+    "H200, 2026-11-28, seventh host": "71c94de1",
 }
 CORES = "two CPU cores", "2026-11-26"
 ROBOTS = {"go1": "g", "go2": "h", "anymal_c": "c", "anymal_d": "d"}
@@ -161,6 +162,17 @@ STATED = {  # name -> where, and the words
         ("docs/results.md", "instead of {:.1f} (five seeds"),
         (ROW_COST, "instead of {:.2f} to a walk. Before"),
     ],
+    "go1 seconds to 38, MJX-JAX": [
+        (ROW_COST, "a Go1 is at its level after {:.2f} s with `best` and after 11.76"),
+    ],
+    "go1 PPO seconds to 38, MJX-JAX": [
+        (ROW_COST, "and after {:.2f} with PPO with 1024 robots"),
+    ],
+    "go1 fast PPO's steps to 38, by best's, MJX-JAX": [
+        (ROW_COST, "for {:.1f} times the steps (6.4 to 12)"),
+    ],
+    "go1 seconds to a walk, MJX-JAX": [(ROW_COST, "All ten walk, after {:.2f} and")],
+    "go1 PPO seconds to a walk, MJX-JAX": [(ROW_COST, "after 4.13 and {:.2f} s")],
     "go1 seconds to 38, exact task": [
         ("README.md", "Go1, Isaac Lab's exact task | 2.3 | {:.1f} |"),
         ("docs/results.md", "a Go1 is at 38 after {:.1f} instead of 5.5 s, an ANYmal-C"),
@@ -414,6 +426,7 @@ def seconds():
     for place, robot, engine, goals in (
         ("go1.kernel", "go1", "", {"38": "level"} | walks),
         ("go1.warp", "go1", ", MuJoCo Warp", {"38": "level"} | walks),
+        ("go1.jax", "go1", ", MJX-JAX", {"38": "level"} | walks),
         ("go1.exact", "go1", ", exact task", {"38": "level"}),
         ("anymal_c.exact", "anymal_c", ", exact task", {"24": "level"}),
         ("g1.kernel", "g1", "", {"its level": "level"} | walks),

@@ -45,7 +45,7 @@ def main():
         fast, few = table.fastest(ppos), table.sparing(ppos)
         places[f"{LABELS.get(best.place, best.place)}, {best.batch.partition(',')[0]}"] = number
         pair(seconds, ms, best.level[:, 2], fast.level[:, 2], number)
-        pair(steps, ms, best.level[:, 1] / 1e6, few.level[:, 1] / 1e6, number)
+        pair(steps, ms, table.steps(best) / 1e6, table.steps(few) / 1e6, number)
         least = fast.level[:, 1].mean() / 1e6
         if fast.method != few.method:
             steps.plot(1.04 * ms, least, "s", color=pictures.GREY, ms=4.5, mfc="none", zorder=2)
@@ -55,8 +55,11 @@ def main():
         axis.set(xlim=(0.1, 100), xlabel="ms of a simulated row of 1024 robots")
         axis.set_title(f"{words} to the level", loc="left")
     seconds.set_ylim(0.25, 300)
-    steps.set_ylim(0.12, None)
-    legend(page, places)
+    steps.set_ylim(0.1, None)
+    drawn = [
+        run for best, ppos in pairs for run in (best, table.fastest(ppos), table.sparing(ppos))
+    ]
+    legend(page, places, any(len(run.level) < table.OFTEN for run in drawn))
     pictures.save(page, Path(__file__).with_name("row_cost"))
 
 
@@ -114,8 +117,8 @@ def pair(axis, ms: float, best, ppo, number: int) -> None:
     axis.annotate(f"{number}", (ms, min(ends)), (0, -6), path_effects=rim, zorder=5, **how)
 
 
-def legend(page, places: dict[str, int]) -> None:
-    """Above what the numbers are, below what marks and lines are."""
+def legend(page, places: dict[str, int], seldom: bool) -> None:
+    """Above what the numbers are, below what marks and lines are; `seldom`: some have few seeds."""
     from matplotlib.lines import Line2D
 
     def line(colour, dash):
@@ -126,7 +129,8 @@ def legend(page, places: dict[str, int]) -> None:
 
     colour, other = pictures.BLUE, pictures.BLACK
     keys = {words: mark(colour, shape) for colour, shape, words in LOOKS.values()}
-    keys["fewer than five seeds"] = mark(other, "s", mfc="white")
+    if seldom:
+        keys["fewer than five seeds"] = mark(other, "s", mfc="white")
     keys["steps of the PPO on the left"] = mark(pictures.GREY, "s", mfc="none")
     keys["computed: Go1, best"] = line(colour, "-")
     keys["computed: PPO; a row of 4096 costs 1.35 times"] = line(other, DASHES["a GPU"])

@@ -69,6 +69,7 @@ class Run(NamedTuple):
     level: np.ndarray  # [S, 3]: iteration, simulator steps, seconds; NaN: never
     walks: np.ndarray
     row: float  # ms, of a row of its robots; NaN: not measured
+    end: float = math.nan  # simulator steps of a whole run
 
 
 def main():
@@ -131,7 +132,8 @@ def of_job(batch: str, name: str, each: list[list[dict]]) -> Run:
     )
     first = each[0][0]
     row = float(first.get("row_ms") or "nan")
-    return Run(place, batch, method, robots(first["job"]), level, walking, row)
+    end = max(float(row["sim_steps"]) for rows in each for row in rows)
+    return Run(place, batch, method, robots(first["job"]), level, walking, row, end)
 
 
 def robots(job: str) -> int:
@@ -231,13 +233,25 @@ def at_cost(found: list[Run], run: Run, ms: float) -> Run:
     return run._replace(level=np.column_stack([run.level[:, :2], seconds]))
 
 
+def there(run: Run) -> float:
+    """The share of its seeds that get to the level."""
+    return float(np.isfinite(run.level[:, 0]).mean())
+
+
+def steps(run: Run) -> np.ndarray:
+    """Simulator steps to the level, `[S]`; of a seed that does not get there those of its whole run, which
+    are too few."""
+    return np.where(np.isfinite(run.level[:, 1]), run.level[:, 1], run.end)
+
+
 def settings(found: list[Run], place: str) -> tuple[Run, list[Run]] | None:
     """`(best, PPO's)` of the last day on which `best` has five seeds, else of that with most, and of that
-    day's host with most settings of PPO; of runs all of whose seeds get to the level. None where one of the
-    two has not been run."""
-    mine = [run for run in found if run.place == place and np.isfinite(run.level).all()]
-    both = [(run, beside(mine, run)) for run in mine if run.method == "best"]
-    both = [pair for pair in both if pair[1]]
+    day's host with most settings of PPO; of runs of `best` all of whose seeds get to the level, and of PPO
+    more than half. None where one of the two has not been run, or no setting of PPO always gets there."""
+    here = [run for run in found if run.place == place]
+    mine = [run for run in here if run.method == "best" and there(run) == 1]
+    both = [(run, [ppo for ppo in beside(here, run) if there(ppo) > 0.5]) for run in mine]
+    both = [pair for pair in both if any(there(ppo) == 1 for ppo in pair[1])]
 
     def worth(pair):
         best, ppos = pair
@@ -288,13 +302,15 @@ def variants(found: list[Run], best: Run) -> list[Run]:
     others), with as many seeds as say something; those that were tuned, `tune-`, only where none has run on
     fresh seeds."""
     here = [run for run in found if run.place == best.place and len(run.level) >= MANY]
-    some = [run for run in here if np.isfinite(run.level).all()]
+    some = [run for run in here if there(run) == 1]
     fresh = near([run for run in some if run.method.startswith("best-")], best)
     return [best, *(fresh or near([run for run in some if run.method.startswith(TUNING)], best))]
 
 
 def fastest(some: list[Run]) -> Run:
-    """With the fewest seconds in the mean, of those with `MANY` seeds or more, if there are any."""
+    """With the fewest seconds in the mean, of those that always get there, and of these of those with `MANY`
+    seeds or more, if there are any."""
+    some = [run for run in some if there(run) == 1]
     many = [run for run in some if len(run.level) >= MANY]
     return min(many or some, key=lambda run: run.level[:, 2].mean())
 
@@ -302,7 +318,7 @@ def fastest(some: list[Run]) -> Run:
 def sparing(some: list[Run]) -> Run:
     """With the fewest simulator steps in the mean, of those with two seeds or more, if there are any."""
     several = [run for run in some if len(run.level) > 1]
-    return min(several or some, key=lambda run: run.level[:, 1].mean())
+    return min(several or some, key=lambda run: steps(run).mean())
 
 
 def break_even(
@@ -368,16 +384,15 @@ def compared(found: list[Run]) -> str:
             continue
         best, ppos = pair
         fast, few, ms = fastest(ppos), sparing(ppos), cost(found, best)
-        times, steps = (
-            [run.level[:, k] for run in (one, best)] for one, k in ((fast, 2), (few, 1))
-        )
+        times = [run.level[:, 2] for run in (fast, best)]
+        more = "at least " * (there(few) < 1) + ratio(steps(few), steps(best))
         quick = fastest(variants(found, best))
         cells = [place, f"{ms:.3g}", interval(times[1])]
         named = quick.method + ", tuning seeds" * quick.method.startswith(TUNING)
         named += host_beside(quick, best)
         cells += ["-" if quick is best else f"{interval(quick.level[:, 2])} ({named})"]
         cells += [f"{interval(times[0])} ({fast.method})"]
-        cells += [ratio(*times), f"{ratio(*steps)} ({few.method})"]
+        cells += [ratio(*times), f"{more} ({few.method})"]
         here = [at_cost(found, ppo, ms) for ppo in ppos]
         equal = even(best, here, ms) + for_seconds(found, quick, ppos) * (quick is not best)
         walking = [at_cost(found, to_walk(ppo), ms) for ppo in ppos]
@@ -401,12 +416,14 @@ def to_walk(run: Run) -> Run:
 
 def even(best: Run, ppos: list[Run], ms: float) -> str:
     """`break_even` of runs with `MANY` seeds, all of which get there."""
-    able = [run for run in (best, *ppos) if len(run.level) >= MANY and np.isfinite(run.level).all()]
+    able = [run for run in (best, *ppos) if len(run.level) >= MANY and there(run) == 1]
     if len(able) < 2 or able[0] is not best:
         return "-"
     at, low, high = break_even(best, able[1:], ms, power_of(best.place))
-    below = "below " if low == COSTS[0] else ""  # no smaller one is computed
-    return f"{at:.2g} ({below}{low:.2g} to {high:.2g})"
+    # no smaller cost is computed, and no larger one
+    least = "below 0.1" if low == COSTS[0] else f"{low:.2g}"
+    most = "over 100" if high == COSTS[-1] else f"{high:.2g}"
+    return f"{at:.2g} ({least} to {most})"
 
 
 def ratio(one, other) -> str:
