@@ -163,7 +163,7 @@ def test_the_pages_of_seconds_have_the_tables_of_their_runs(monkeypatch, capsys)
     ):
         page = (EXPERIMENTS / ROW_COST / f"{name}.md").read_text().splitlines()
         rows = [line for line in printed.splitlines() if line.startswith(places)]
-        assert len(rows) >= (81 if name == "runs" else 9)
+        assert len(rows) >= (82 if name == "runs" else 9)
         assert rows == [line for line in page if line.startswith(places)]
 
 
@@ -980,6 +980,82 @@ def test_what_the_pages_of_seconds_say_of_mjx_jax_is_so():
         f"alone, is {even[0].replace(' (', ' ms (')}, to a walk {even[1]}.",
     ):
         assert text in pages["computed"], text
+
+
+def test_what_the_pages_of_seconds_say_of_two_cores_is_so():
+    """`best` of :laptop and PPO with 512 and 256 robots; also as if they had been evaluated all the time."""
+    table, batch = script(f"{ROW_COST}/table"), "two cores, 2026-11-28"
+    found, jobs = table.runs(), of_host(table, batch)
+    run = {one.method: one for one in found if one[:2] == ("go1.laptop", batch)}
+    pages = {
+        name: " ".join((EXPERIMENTS / ROW_COST / f"{name}.md").read_text().split())
+        for name in ("README", "runs")
+    }
+    best, many, few = (run[name] for name in ("best", "ppo512", "ppo256"))
+    assert table.settings(found, "go1.laptop") == (best, [many, few])
+    assert table.fastest([many, few]) is many and table.sparing([many, few]) is few
+
+    def at_38(name, column):
+        """Read off a line between evaluations."""
+        times = []
+        for rows in jobs[f"go1.laptop.{name}"].values():
+            returns, values = ([float(row[key]) for row in rows] for key in ("return", column))
+            k = next(i for i, value in enumerate(returns) if value >= 38)
+            times.append(np.interp(38, returns[k - 1 : k + 1], values[k - 1 : k + 1]))
+        return np.array(times)
+
+    last = {name: [seed[-1] for seed in jobs[f"go1.laptop.{name}"].values()] for name in run}
+    ms = {
+        name: [1e3 * float(row["seconds"]) / int(row["iteration"]) for row in rows]
+        for name, rows in last.items()
+    }
+    each = {
+        name: every * np.mean(ms[name]) / 1e3
+        for name, every in (("ppo256", 40), ("best", 25), ("ppo512", 20))
+    }
+    clocks, steps = ({m: at_38(m, c) for m in run} for c in ("seconds", "sim_steps"))
+    usual = ms["ppo256"][:4]
+    seconds = [one.level[:, 2] for one in (best, many, few)]
+    ratios = [stats.ratio(one.level[:, 1], best.level[:, 1]) for one in (many, few)]
+    fewer = "1.1 times the steps ({1:.2f} to {2:.1f})"
+    assert [f"{x.value:.1f}" for x in ratios] == ["1.8", "1.1"]
+    for text in (
+        f"it takes {seconds[2].mean():.1f} s, `best` {seconds[0].mean():.1f}:"
+        f" {around(stats.difference(seconds[2], seconds[0]), words=' s more')}, for"
+        f" {fewer.format(*ratios[1])}",
+        "needs {:.2f} times the steps of PPO with 512 robots ({:.2f} to {:.2f})".format(
+            *stats.ratio(few.level[:, 1], many.level[:, 1])
+        ),
+        "every {ppo256:.0f} s or so, `best` every {best:.0f} and `ppo512` every {ppo512:.0f}".format(
+            **each
+        ),
+        "`best` takes {best:.1f} s, `ppo512` {ppo512:.1f} and `ppo256` {ppo256:.1f}: ".format(
+            **{name: some.mean() for name, some in clocks.items()}
+        )
+        + around(stats.difference(clocks["ppo256"], clocks["best"]), words=" s more than `best`")
+        + f", for {fewer.format(*stats.ratio(steps['ppo256'], steps['best']))}",
+        f"an iteration of it takes {ms['ppo256'][4]:.0f} ms, of the other four {min(usual):.0f} to"
+        f" {max(usual):.0f}, at whose mean it would be at the level after"
+        f" {few.level[4, 0] * np.mean(usual) / 1e3:.1f} s, not {few.level[4, 2]:.1f}",
+        f"256 robots took {few.row:.1f} ms, of 512 {many.row:.1f} (`ppo512`) and {best.row:.1f}",
+    ):
+        assert text in pages["runs"], text
+    # who walks, and who but for the last evaluation would
+    assert [f"{one.walks[:, 0]}" for one in (few,)] == ["[160. 160.  nan  nan 120.]"]
+    for seed, since in (("1102", 160), ("1103", 120)):
+        *rows, end = jobs["go1.laptop.ppo256"][seed]
+        assert float(end["fall_rate"]) == 0.02 and table.reached(rows)[1, 0] == since
+    ends = [float(last[name][0]["sim_steps"]) / 1e6 for name in ("best", "ppo256")]
+    assert "ended at {:.1f} M steps, PPO at {:.1f} M".format(*ends) in pages["runs"]
+    longer = [stats.ratio(some, seconds[0]) for some in seconds[1:]]
+    text = "{:.1f} s with `best` of `:laptop` and {:.1f} with PPO with as many robots, 1.1 times as long"
+    text += " ({:.2f} to {:.1f}), for 1.8 times the steps ({:.1f} to {:.1f}). PPO with 256 robots and its"
+    text += " settings of the GPU takes {:.1f} s, 1.2 times as long ({:.2f} to {:.1f}), for "
+    cells = seconds[0].mean(), seconds[1].mean(), *longer[0][1:], *ratios[0][1:]
+    text = text.format(*cells, seconds[2].mean(), *longer[1][1:]) + fewer.format(*ratios[1])
+    assert text in pages["README"]
+    even = table.even(best, [many, few], table.cost(found, best)).partition(" (")
+    assert f"[{even[0]} ms](runs.md#two-cores) ({even[2][:-1]}; computed)" in pages["README"]
 
 
 def test_marks_of_rows_that_cost_nearly_the_same_stand_apart():
