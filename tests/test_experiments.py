@@ -4693,8 +4693,12 @@ def test_settings_of_other_methods_with_few_robots_are_as_the_page_says():
             run = found.setdefault(row["name"], {}).setdefault(int(row["seed"]), {})
             run[int(row["sim_steps"])] = float(row["return"]), 100 * float(row["fall_rate"])
     jobs = [line.split()[0] for line in (few / "peers_tune.txt").read_text().splitlines()]
-    assert found.keys() < set(jobs) and (len(jobs), len(found)) == (21, 5)
-    assert "21 settings" in words and "the other 16 have not run" in words
+    assert found.keys() - {"crossq-u512"} < set(jobs) and (len(jobs), len(found)) == (23, 5)
+    assert (
+        "had 21 settings" in words
+        and "It has 23 now" in words
+        and "the other 16 have not run" in words
+    )
     rows = {
         re.search(r"\(`(.+)`\)", x)[1]: cells(x)
         for x in part.splitlines()
@@ -4822,7 +4826,12 @@ def test_settings_of_other_methods_for_few_robots_are_flags_of_theirs_and_runs_a
         flags = [word for word in [*given, *peers.COMMON.split()] if word.startswith("--")]
         assert all(f'add_argument("{flag}"' in source for flag in flags), line
         names.add(name)
-    assert len(names) == 22
+    assert len(names) == 23
+    assert peers.groups("crossq --mirror", [0, 1]) == [(0, 2)]
+    assert peers.groups("sac", [0, 1]) == [(0, 1), (1, 1)]
+    with pytest.raises(SystemExit, match=r"--seeds is \[0, 2\], expected seeds that follow"):
+        peers.groups("crossq", [0, 2])
+    assert peers.command(tmp_path, "crossq --mirror", 5, 3)[-3:] == ["5", "--num-seeds", "3"]
     (tmp_path / "fake.py").write_text(
         "import sys; from pathlib import Path; given = ' '.join(sys.argv[2:])\n"
         "Path(sys.argv[1]).open('a').write(given); sys.exit(given.endswith('--seed 1'))\n"
@@ -4839,6 +4848,57 @@ def test_settings_of_other_methods_for_few_robots_are_flags_of_theirs_and_runs_a
     assert (out / "a-0.csv").read_text() == f"{peers.COMMON} --updates 3 --seed 0"
     assert not (out / "a-1.csv").exists() and (out / "a-1.csv.part").exists()
     assert (out / "b-0.csv").read_text() == "before" and not (out / "b-1.csv").exists()
+
+
+@pytest.mark.slow  # compiles two programs
+def test_seeds_of_crossq_side_by_side_are_each_as_alone(tmp_path, monkeypatch):
+    """Robots of one number that drifts, and falls at 3; two seeds in one program, and the second alone. After
+    a hundred updates more the last bit of a sum would tell."""
+    crossq = script("24_off_policy/crossq")
+
+    class Robots:
+        observation_size, action_size, mirror = 2, 1, None
+
+        def state(self, x, steps, reward, done, falls, before, truncation):
+            metrics = {"falls": falls, "velocity_error_sq": x**2, "yaw_error_sq": x**2}
+            info = {"next_obs": before, "steps": steps, "truncation": truncation}
+            obs = jnp.stack([x, steps / 10], -1)
+            return crossq.sac.envs.State(
+                pipeline_state=None, obs=obs, reward=reward, done=done, metrics=metrics, info=info
+            )
+
+        def reset(self, keys):
+            x = jax.vmap(jax.random.uniform)(keys)
+            zero = jnp.zeros_like(x)
+            return self.state(x, zero, zero, zero, zero, jnp.stack([x, zero], -1), zero)
+
+        def step(self, state, action):
+            x, steps = state.obs[:, 0] + 0.3 * action[:, 0] + 0.1, state.info["steps"] + 1
+            falls, late = (abs(x) > 3).astype(float), (steps >= 20).astype(float)
+            before, done = jnp.stack([x, steps / 10], -1), jnp.maximum(falls, late)
+            x, steps = jnp.where(done > 0, 0.0, x), jnp.where(done > 0, 0.0, steps)
+            return self.state(x, steps, -(before[:, 0] ** 2), done, falls, before, late)
+
+    monkeypatch.setattr(crossq.sac, "robots", lambda _: (Robots(), Robots()))
+    monkeypatch.setattr(crossq.sac, "LENGTH", 20)
+    monkeypatch.setattr(crossq.devices, "own_process", lambda: None)
+
+    def rows(name, *more):
+        given = (
+            "--config go1:few --robots 4 --updates 3 --batch 16 --width 8 --first 40 --steps 200"
+        )
+        words = ["crossq.py", str(tmp_path / name), *given.split(), "--evaluations", "2", *more]
+        monkeypatch.setattr(sys, "argv", words)
+        crossq.main()
+        return paper.rows(tmp_path / name)
+
+    both = rows("both.csv", "--seed", "5", "--num-seeds", "2")
+    assert [row["seed"] for row in both] == [5, 6, 5, 6]
+    assert [row["sim_steps"] for row in both] == [100, 100, 200, 200]
+    alone = rows("alone.csv", "--seed", "6")
+    for one, other in zip(both[1::2], alone, strict=True):
+        assert one["return"] == pytest.approx(other["return"], rel=1e-3)
+    assert both[2]["return"] != pytest.approx(both[3]["return"], rel=1e-3)
 
 
 @pytest.mark.slow  # of an experiment that has been run

@@ -1,6 +1,7 @@
 """CrossQ on our task: SAC without target networks, with batch renormalisation in its networks.
 
-    python experiments/24_off_policy/crossq.py OUT.csv [--config go1:few] [--seed 100] [--robots 64]
+    python experiments/24_off_policy/crossq.py OUT.csv [--config go1:few] [--seed 100] [--num-seeds 1]
+        [--robots 64]
 
 The method is that of Bhatt et al. (CrossQ, ICLR 2024), written anew: two critics of width `--width`, one pass
 of (s, a) and (s', a') together through them, Adam with b1 = 0.5, an actor and a temperature that learn every
@@ -9,9 +10,11 @@ A control step adds a transition of each robot, and is followed by `--updates` g
 transitions: `--updates` = `--robots` is one for each transition.
 
 `--mirror`: half of a batch is mirrored, left for right, as `best` has a policy and a model that treat both
-alike. Everything between two evaluations is one compiled program.
+alike. Everything between two evaluations is one compiled program, of `--num-seeds` seeds at once: a gradient
+step is many small kernels, so a second seed costs little. `[S]` is their axis.
 """
 
+import argparse
 import functools
 import importlib
 import time
@@ -100,6 +103,7 @@ class Learner(struct.PyTreeNode):
 class Method(NamedTuple):
     """What the functions here need; constants of the program."""
 
+    robots: Any  # sac.Robots
     actor: Network
     critic: Network
     gamma: float
@@ -118,6 +122,7 @@ def main():
     parser.add_argument("--config", default="go1:few")
     parser.add_argument("--set", action="append", default=[], metavar="FIELD=VALUE")
     parser.add_argument("--seed", type=int, default=100)
+    parser.add_argument("--num-seeds", type=int, default=1)
     parser.add_argument("--steps", type=int, default=100_000, help="of the simulator")
     parser.add_argument("--evaluations", type=int, default=20)
     parser.add_argument("--robots", type=int, default=64)
@@ -135,11 +140,12 @@ def main():
     train(args)
 
 
-def train(args) -> None:
-    """A row of OUT.csv an evaluation, as soon as it is there."""
+def train(args: argparse.Namespace) -> None:
+    """A row of OUT.csv an evaluation and seed, as soon as it is there."""
     robots, evaluated = sac.robots(args)
     size, chunks = args.steps // args.robots, args.evaluations
     method = Method(
+        robots=robots,
         actor=Network((256, 256), 2 * robots.action_size),
         critic=Network((args.width, args.width), 1),
         gamma=args.gamma,
@@ -148,37 +154,36 @@ def train(args) -> None:
         updates=args.updates,
         mirrors=robots.mirror if args.mirror else None,
     )
-    keys = jax.random.split(jax.random.PRNGKey(args.seed), 4)
-    start_key, reset_key, run_key, look_key = keys
-    state = robots.reset(jax.random.split(reset_key, args.robots))
-    learner = start(method, robots, start_key)
-    ring = Transitions(
-        *(jnp.zeros((size, *x.shape)) for x in of(state, state, zeros(robots, args)))
-    )
+    seeds = range(args.seed, args.seed + args.num_seeds)
+    keys = split(jnp.stack([jax.random.PRNGKey(seed) for seed in seeds]), 4)
+    start_keys, reset_keys, run_keys, look_keys = keys
+    state = robots.reset(jnp.concatenate(split(reset_keys, args.robots, axis=0)))
+    learners = jax.vmap(lambda key: start(method, key))(start_keys)
+    one = of(state, state, jnp.zeros((len(state.obs), robots.action_size)))
+    shape = len(seeds), size, args.robots
+    ring = Transitions(*(jnp.zeros((*shape, *x.shape[1:])) for x in one))
 
     def chunk(carry, steps):
-        return jax.lax.scan(
-            functools.partial(control_step, method, robots, args.first), carry, steps
-        )[0]
+        return jax.lax.scan(functools.partial(control_step, method, args.first), carry, steps)[0]
 
-    compiled, look = (
-        jax.jit(chunk),
-        jax.jit(functools.partial(evaluate, evaluated, method)),
-    )
+    compiled, look = jax.jit(chunk), jax.jit(functools.partial(evaluate, evaluated, method))
     ends = [size * (k + 1) // chunks for k in range(chunks)]
-    carry, seconds, begin = (learner, state, ring, run_key), 0.0, 0
+    carry, seconds, begin = (learners, state, ring, run_keys), 0.0, 0
     for end in ends:
         began = time.perf_counter()
         carry = jax.block_until_ready(compiled(carry, jnp.arange(begin, end)))
         seconds, begin = seconds + time.perf_counter() - began, end
-        sums = [float(x) for x in look(carry[0], look_key)]
-        found = sac.row("crossq", args, end * args.robots, seconds, sums)
-        log.append_csv(args.out, [found])
-        print(*found.values(), f"alpha {float(jnp.exp(carry[0].log_alpha)):.3g}", flush=True)
+        sums = jnp.stack(look(carry[0], look_keys)).T.tolist()
+        for seed, mine, log_alpha in zip(seeds, sums, carry[0].log_alpha, strict=True):
+            who = argparse.Namespace(**vars(args) | {"seed": seed})
+            found = sac.row("crossq", who, end * args.robots, seconds, mine)
+            log.append_csv(args.out, [found])
+            print(*found.values(), f"alpha {float(jnp.exp(log_alpha)):.3g}", flush=True)
 
 
-def zeros(robots, args):
-    return jnp.zeros((args.robots, robots.action_size))
+def split(keys, num: int, axis: int = 1):
+    """Each seed's key `[S]` split: arrays `[S]`, or, along axis 0, one `[num]` a seed."""
+    return list(jnp.moveaxis(jax.vmap(lambda key: jax.random.split(key, num))(keys), axis, 0))
 
 
 def of(state, after, action) -> Transitions:
@@ -187,10 +192,10 @@ def of(state, after, action) -> Transitions:
     return Transitions(state.obs, action, after.reward, lives, after.info["next_obs"])
 
 
-def start(method: Method, robots, key) -> Learner:
+def start(method: Method, key) -> Learner:
     actor_key, critic_key = jax.random.split(key)
-    obs = jnp.zeros((2, robots.observation_size))
-    both = jnp.zeros((2, robots.observation_size + robots.action_size))
+    obs = jnp.zeros((2, method.robots.observation_size))
+    both = jnp.zeros((2, method.robots.observation_size + method.robots.action_size))
     actor = method.actor.init(actor_key, obs, False)
     critics = jax.vmap(lambda k: method.critic.init(k, both, False))(jax.random.split(critic_key))
     return Learner(
@@ -204,24 +209,32 @@ def start(method: Method, robots, key) -> Learner:
     )
 
 
-def control_step(method: Method, robots, first, carry, t):
+def control_step(method: Method, first, carry, t):
     """Each robot acts once; then `method.updates` gradient steps."""
-    learner, state, ring, key = carry
-    key, act_key, random_key, learn_key = jax.random.split(key, 4)
-    (action, _), _ = act(method, learner.actor, state.obs, act_key, train=False)
-    count = state.obs.shape[0]
-    anything = jax.random.uniform(random_key, action.shape, minval=-1, maxval=1)
-    action = jnp.where(t * count < first, anything, action)
-    after = robots.step(state, action)
-    ring = jax.tree.map(lambda every, one: every.at[t].set(one), ring, of(state, after, action))
+    learners, state, ring, keys = carry
+    seeds, _, count = ring.reward.shape
+    keys, act_keys, random_keys, learn_keys = split(keys, 4)
+    obs = state.obs.reshape(seeds, count, -1)
+    acts = jax.vmap(functools.partial(act, method, train=False))
+    (action, _), _ = acts(learners.actor, obs, act_keys)
+    anything = functools.partial(jax.random.uniform, shape=action.shape[1:], minval=-1, maxval=1)
+    action = jnp.where(t * count < first, jax.vmap(anything)(random_keys), action)
+    action = action.reshape(seeds * count, -1)
+    after = method.robots.step(state, action)
+    new = of(state, after, action)
+    ring = jax.tree.map(
+        lambda every, one: every.at[:, t].set(one.reshape(every[:, 0].shape)), ring, new
+    )
 
-    def update(i, learner):
-        batch_key, update_key = jax.random.split(jax.random.fold_in(learn_key, i))
-        return learn(method, learner, sample(method, ring, t + 1, batch_key), update_key)
+    def update(i, learners):
+        some = jax.vmap(jax.random.fold_in, (0, None))(learn_keys, i)
+        batch_keys, update_keys = split(some, 2)
+        draw = jax.vmap(functools.partial(sample, method), (0, None, 0))
+        return learn(method, learners, draw(ring, t + 1, batch_keys), update_keys)
 
     steps = jnp.where((t + 1) * count < first, 0, method.updates)
-    learner = jax.lax.fori_loop(0, steps, update, learner)
-    return (learner, after, ring, key), None
+    learners = jax.lax.fori_loop(0, steps, update, learners)
+    return (learners, after, ring, keys), None
 
 
 def sample(method: Method, ring: Transitions, filled, key) -> Transitions:
@@ -264,11 +277,21 @@ def values(method: Method, critics, obs, action, train: bool):
     return q[..., 0], stats
 
 
-def learn(method: Method, learner: Learner, batch: Transitions, key) -> Learner:
-    """One update of the critics; of actor and temperature every `DELAY`th."""
-    next_key, actor_key = jax.random.split(key)
+def learn(method: Method, learners: Learner, batches: Transitions, keys) -> Learner:
+    """One update of the critics of all seeds `[S]`; of actor and temperature every `DELAY`th."""
+    next_keys, actor_keys = split(keys, 2)
+    learners = jax.vmap(functools.partial(learn_critics, method))(learners, batches, next_keys)
+
+    def act_too(learners):
+        return jax.vmap(functools.partial(learn_actor, method))(learners, batches, actor_keys)
+
+    # seeds count alike, so one of them decides and the others' actors are not computed in vain
+    return jax.lax.cond(learners.updates[0] % DELAY == 0, act_too, lambda x: x, learners)
+
+
+def learn_critics(method: Method, learner: Learner, batch: Transitions, key) -> Learner:
     alpha = jnp.exp(learner.log_alpha)
-    (next_action, next_log), _ = act(method, learner.actor, batch.next_obs, next_key, train=False)
+    (next_action, next_log), _ = act(method, learner.actor, batch.next_obs, key, train=False)
 
     def critic_loss(params):
         critics = {**learner.critics, "params": params}
@@ -284,11 +307,9 @@ def learn(method: Method, learner: Learner, batch: Transitions, key) -> Learner:
     (_, stats), grads = jax.value_and_grad(critic_loss, has_aux=True)(learner.critics["params"])
     change, opt_critics = ADAM.update(grads, learner.opt_critics)
     params = optax.apply_updates(learner.critics["params"], change)
-    learner = learner.replace(
+    return learner.replace(
         critics={"params": params, **stats}, opt_critics=opt_critics, updates=learner.updates + 1
     )
-    act_too = functools.partial(learn_actor, method, batch=batch, key=actor_key)
-    return jax.lax.cond(learner.updates % DELAY == 0, act_too, lambda x: x, learner)
 
 
 def learn_actor(method: Method, learner: Learner, batch: Transitions, key) -> Learner:
@@ -315,15 +336,20 @@ def learn_actor(method: Method, learner: Learner, batch: Transitions, key) -> Le
     )
 
 
-def evaluate(robots, method: Method, learner: Learner, key):
-    """Means over episodes of reward, `sac.MEASURED` and steps, with the mean action."""
-    state = robots.reset(jax.random.split(key, sac.EPISODES))
-    ones = jnp.ones(sac.EPISODES)
+def evaluate(robots, method: Method, learners: Learner, keys):
+    """Means `[S]` over episodes of reward, `sac.MEASURED` and steps, with the mean action."""
+    state = robots.reset(jnp.concatenate(split(keys, sac.EPISODES, axis=0)))
+    ones = jnp.ones(len(state.obs))
+
+    def mean_action(actor, obs):
+        out: Any = method.actor.apply(actor, obs, False)
+        return jnp.tanh(jnp.split(out, 2, -1)[0])
 
     def step(carry, _):
         state, alive, sums = carry
-        out: Any = method.actor.apply(learner.actor, state.obs, False)
-        after = robots.step(state, jnp.tanh(jnp.split(out, 2, -1)[0]))
+        obs = state.obs.reshape(len(keys), sac.EPISODES, -1)
+        action = jax.vmap(mean_action)(learners.actor, obs)
+        after = robots.step(state, action.reshape(len(ones), -1))
         found = [after.reward, *(after.metrics[name] for name in sac.MEASURED), ones]
         sums = [s + alive * x for s, x in zip(sums, found, strict=True)]
         return (after, alive * (1 - after.done), sums), None
@@ -331,7 +357,7 @@ def evaluate(robots, method: Method, learner: Learner, key):
     (_, _, sums), _ = jax.lax.scan(
         step, (state, ones, [0 * ones] * (len(sac.MEASURED) + 2)), length=sac.LENGTH
     )
-    return [x.mean() for x in sums]
+    return [x.reshape(len(keys), -1).mean(1) for x in sums]
 
 
 if __name__ == "__main__":

@@ -4,8 +4,9 @@
         [--seeds 0 1]
 
 A line is `NAME SCRIPT ARGUMENTS`, SCRIPT one of 24_off_policy, and becomes OUT_FOLDER/NAME-SEED.csv for each
-seed; one that is there is skipped. `--workers`: so many share the device, so their clocks say nothing.
-OUT_FOLDER/NAME-SEED.log has what a run said.
+seed. crossq.py trains many seeds at once, which must follow each other: OUT_FOLDER/NAME-FIRST.csv is of all.
+A file that is there is skipped. `--workers`: so many share the device, so their clocks say nothing. A .log
+beside a .csv has what the run said.
 """
 
 import os
@@ -17,6 +18,7 @@ from pathlib import Path
 
 from experiments import paper
 
+TOGETHER = ("crossq",)  # scripts that run all seeds in one program
 SCRIPTS = Path(__file__).parent.parent / "24_off_policy"
 # what all have: the task of `few`, and 64 robots to four times the steps of `few`
 COMMON = "--config go1:few --robots 64 --steps 204800 --evaluations 32"
@@ -35,21 +37,32 @@ def main():
     chosen = paper.chosen(jobs, args.names)
     with ThreadPoolExecutor(args.workers) as pool:
         runs = [
-            (args.out / f"{name}-{seed}.csv", jobs[name], seed)
+            (args.out / f"{name}-{seed}.csv", jobs[name], seed, count)
             for name in chosen
-            for seed in args.seeds
+            for seed, count in groups(jobs[name], args.seeds)
         ]
         list(pool.map(lambda run: start(*run, args.workers), runs))
 
 
-def start(to: Path, job: str, seed: int, workers: int) -> None:
+def groups(job: str, seeds: list[int]) -> list[tuple[int, int]]:
+    """`(first seed, how many)` of each run."""
+    if job.split()[0] not in TOGETHER:
+        return [(seed, 1) for seed in seeds]
+    if seeds != list(range(seeds[0], seeds[0] + len(seeds))):
+        raise SystemExit(
+            f"--seeds is {seeds}, expected seeds that follow each other, as 100 101 102"
+        )
+    return [(seeds[0], len(seeds))]
+
+
+def start(to: Path, job: str, seed: int, count: int, workers: int) -> None:
     """Run it, if it has not run; a run that is stopped leaves NAME.csv.part."""
     if to.exists():
         return
     part = to.with_name(f"{to.name}.part")
     part.unlink(missing_ok=True)  # the scripts append
     done = subprocess.run(
-        command(part, job, seed), env=room(workers), capture_output=True, text=True
+        command(part, job, seed, count), env=room(workers), capture_output=True, text=True
     )
     to.with_suffix(".log").write_text(done.stdout + done.stderr)
     if done.returncode == 0:
@@ -57,7 +70,7 @@ def start(to: Path, job: str, seed: int, workers: int) -> None:
     print(to.stem, "done" if done.returncode == 0 else done.stderr.strip()[-200:], flush=True)
 
 
-def command(out: Path, job: str, seed: int) -> list[str]:
+def command(out: Path, job: str, seed: int, count: int) -> list[str]:
     script, *given = shlex.split(job)
     return [
         sys.executable,
@@ -65,8 +78,8 @@ def command(out: Path, job: str, seed: int) -> list[str]:
         str(out),
         *COMMON.split(),
         *given,
-        "--seed",
-        str(seed),
+        *("--seed", str(seed)),
+        *(("--num-seeds", str(count)) if script in TOGETHER else ()),
     ]
 
 
