@@ -163,16 +163,29 @@ STATED = {  # name -> where, and the words
         (ROW_COST, "instead of {:.2f} to a walk. Before"),
     ],
     "go1 seconds to 38, MJX-JAX": [
+        ("README.md", "| Go1, MJX-JAX | 5.5 | {:.1f} |"),
+        ("docs/results.md", "it is at 38 after {:.1f} s and with PPO with 1024"),
+        ("experiments/README.md", "it is at 38 after {:.1f} s and with PPO"),
         (ROW_COST, "a Go1 is at its level after {:.2f} s with `best` and after 11.76"),
     ],
     "go1 PPO seconds to 38, MJX-JAX": [
+        ("README.md", "| Go1, MJX-JAX | 5.5 | 2.4 | {:.1f} |"),
+        ("docs/results.md", "with PPO with 1024 robots after {:.1f} (five"),
+        ("experiments/README.md", "s and with PPO after {:.1f}, and"),
         (ROW_COST, "and after {:.2f} with PPO with 1024 robots"),
     ],
     "go1 fast PPO's steps to 38, by best's, MJX-JAX": [
+        ("docs/results.md", "for {:.1f} times the steps. In the exact"),
         (ROW_COST, "for {:.1f} times the steps (6.4 to 12)"),
     ],
-    "go1 seconds to a walk, MJX-JAX": [(ROW_COST, "All ten walk, after {:.2f} and")],
-    "go1 PPO seconds to a walk, MJX-JAX": [(ROW_COST, "after 4.13 and {:.2f} s")],
+    "go1 seconds to a walk, MJX-JAX": [
+        ("README.md", "| 5.5 | 2.4 | 11.8 | {:.1f} |"),
+        (ROW_COST, "All ten walk, after {:.2f} and"),
+    ],
+    "go1 PPO seconds to a walk, MJX-JAX": [
+        ("README.md", "| 5.5 | 2.4 | 11.8 | 4.1 | {:.1f} |"),
+        (ROW_COST, "after 4.13 and {:.2f} s"),
+    ],
     "go1 seconds to 38, exact task": [
         ("README.md", "Go1, Isaac Lab's exact task | 2.3 | {:.1f} |"),
         ("docs/results.md", "a Go1 is at 38 after {:.1f} instead of 5.5 s, an ANYmal-C"),

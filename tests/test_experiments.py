@@ -1989,11 +1989,15 @@ def test_best_setting_is_the_one_that_walks_soonest_and_never_counts_twice(tmp_p
 def test_times_of_table_i_are_measured_once_a_cell_and_beside_the_papers(tmp_path, monkeypatch):
     """Two cells of three are there: only the third is measured. Minutes are the paper's."""
     times, path = script("10_ablation/times"), tmp_path / "times.csv"
+    monkeypatch.setattr(times, "HERE", tmp_path)
     path.write_text("envs,horizon,ms,device,commit\n512,12,4,GPU,a\n8192,32,40,GPU,a\n")
     asked = []
     monkeypatch.setattr(times.run, "configure", lambda job, *_: asked.append(job))
     monkeypatch.setattr(times.build, "program", lambda _: types.SimpleNamespace(device="GPU"))
     monkeypatch.setattr(times, "iteration", lambda _: 12.5)
+    (tmp_path / "first").mkdir()
+    times.measure(tmp_path / "first/times.csv", [(512, 12), (8192, 32)])  # times.csv has both
+    assert not asked and not (tmp_path / "first/times.csv").exists()
     times.measure(path, [(512, 12), (4096, 16), (8192, 32)])
     assert asked == ["go1:ppo16:rollout.num_envs=4096:rollout.horizon=16"]
     rows = paper.rows(path)
@@ -2051,7 +2055,7 @@ def test_jobs_of_few_robots_are_valid_and_evaluated_on_the_way_to_45_thousand_st
                 assert many or sum(s <= 45_000 for s in asked) >= 10, name
                 assert steps[-1] > 42_000, name
                 late = config.schedule.late_from
-                assert (late is None) == name.startswith("part-late")
+                assert (late is None) == name.startswith(("part-late", "fresh-late"))
                 assert late is None or steps[late - 1] / steps[-1] == pytest.approx(
                     few[160 - 1] / few[-1], abs=0.012
                 )
@@ -2068,6 +2072,8 @@ def test_fresh_seeds_of_few_without_anchors_pair_with_those_of_its_table():
     for robot in "ghcd":
         asked = f"{fresh[f'fresh-{robot}']} schedule.anchors=0"
         assert jobs[f"fresh-anchors-{robot}"] == asked
+        no_late = "schedule.late_from=None ppo.late_kl=1.0"
+        assert jobs[f"fresh-late-{robot}"] == f"{fresh[f'fresh-{robot}']} {no_late}"
         assert {row["job"] for row in ran[f"fresh-{robot}"]} == {fresh[f"fresh-{robot}"]}
 
 

@@ -4,7 +4,7 @@
     python experiments/10_ablation/times.py --table      # the numbers of README.md, from times.csv
 
 Of each cell the program of plot.py's job, `CHUNK` iterations after as many that are not counted, median of
-`REPEATS`. A row of times.csv as soon as it is there; those that are there are not measured again.
+`REPEATS`. A row of `--out` as soon as it is there; cells that it or times.csv has are not measured again.
 """
 
 import time
@@ -37,7 +37,8 @@ def main():
 
 def measure(out: Path, grid, settings=SETTINGS) -> None:
     """Add the rows that are missing."""
-    there = {(row["envs"], row["horizon"]) for row in paper.rows(out)}
+    known = [path for path in {out, HERE / "times.csv"} if path.exists()]
+    there = {(row["envs"], row["horizon"]) for path in known for row in paper.rows(path)}
     for envs, horizon in grid:
         if (envs, horizon) in there:
             continue
