@@ -4,10 +4,10 @@
 
 A line of the plan is `PART LANE SECONDS COMMAND ...`; those of the named parts run. A lane is a card's
 number and a letter: 0a and 0b share card 0, and so do their cores, the host's divided by its cards. They
-share its memory, too: each takes what it needs, where a lane alone takes most of it at once. Runs whose seconds count have a
-card's only lane. `OUT` in a command is OUT_FOLDER. A command is ended after its SECONDS, or when `--seconds`
-of all are over, with all that it started: a run that was cut off keeps the rows that it has.
-OUT_FOLDER/LANE.log has what a lane's commands said, and OUT_FOLDER.tar.xz all of the folder.
+share its memory, too: each takes what it needs, where a lane alone takes most of it at once. Runs whose
+seconds count have a card's only lane. `OUT` in a command is OUT_FOLDER. A command is ended after its
+SECONDS, or when `--seconds` of all are over, with all that it started: a run that was cut off keeps the rows
+that it has. OUT_FOLDER/LANE.log has what a lane's commands said, and OUT_FOLDER.tar.xz all of the folder.
 """
 
 import argparse
