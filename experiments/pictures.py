@@ -13,6 +13,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from dynappo.policy import walks
 from dynappo.run import learning_curves
 from experiments import paper
 
@@ -101,6 +102,14 @@ def log(axis, subs=(1, 2, 5), which="y") -> None:
     along.get_major_locator().set_params(subs=subs)
     along.set_major_formatter("{x:g}")
     axis.minorticks_off()
+
+
+def falls(axis) -> None:
+    """Per cent of episodes with a fall: linear to 1 %, where a walk begins, logarithmic from there on."""
+    axis.set_yscale("symlog", linthresh=1, linscale=0.6)
+    axis.set(ylim=(0, 100), yticks=(0, 1, 10, 100), yticklabels=("0", "1", "10", "100"))
+    axis.minorticks_off()
+    axis.axhline(100 * walks.MOST_FALLS, color="0.4", lw=1, ls=":")
 
 
 def head(page, text: str, **more) -> None:

@@ -1,4 +1,4 @@
-"""Evaluated return over simulator steps, four robots: curves.png.
+"""Evaluated return and falls over simulator steps, four robots: curves.png.
 
     cd experiments/21_less
     python plot.py results/headline.csv.xz results/fresh.csv.xz
@@ -34,30 +34,34 @@ def main():
     jobs = {}
     for path in parser.parse_args().paths:
         jobs |= table.read(path)
-    fig, axes = pictures.figure(2, 2, 6.4, sharex=True)
-    for axis, (robot, title) in zip(np.ravel(axes), ROBOTS.items(), strict=True):
+    fig, axes = pictures.figure(2, 4, 5.2, sharex=True)
+    for (above, below), (robot, title) in zip(axes.T, ROBOTS.items(), strict=True):
         for name, look in RUNS.items():
             if f"{name}-{robot}" in jobs:
-                curve(axis, jobs[f"{name}-{robot}"], *look)
-        axis.axhline(LEVEL[robot], color="0.4", lw=1, ls=":")
-        axis.set_title(title, loc="left")
-        axis.set(xscale="log", ylim=(0, None))
-    pictures.outer(axes, "simulator steps (logarithmic)", "evaluated return")
+                curve(above, jobs[f"{name}-{robot}"], *look)
+                curve(below, jobs[f"{name}-{robot}"], *look, what="fall_rate", scale=100)
+        above.axhline(LEVEL[robot], color="0.4", lw=1, ls=":")
+        above.set_title(title, loc="left")
+        above.set(xscale="log", ylim=(0, None))
+        pictures.falls(below)
+    pictures.outer(axes, "simulator steps")
+    axes[0, 0].set_ylabel("evaluated return")
+    axes[1, 0].set_ylabel("episodes with a fall, %")
     pictures.head(
         fig,
-        f"Band: {pictures.covers([5, 10])}. Dotted: follows its commands (38; 24)",
+        f"Band: {pictures.covers([5, 10])}. Dotted: follows its commands (38; 24), and 1 % falls",
         fontsize=9.5,
     )
     pictures.legend(fig, axes[0, 0], 3)
     pictures.save(fig, Path(__file__).with_name("curves"))
 
 
-def curve(axis, job, label, colour, dash):
+def curve(axis, job, label, colour, dash, what="return", scale=1):
     """One run of several seeds, as far as the shortest goes; without an evaluation before the first step."""
     runs = [[row for row in run if row["sim_steps"]] for run in table.seeds(job)]
     count = min(map(len, runs))
     steps = np.array([row["sim_steps"] for row in runs[0][:count]])
-    values = np.array([[row["return"] for row in run[:count]] for run in runs])
+    values = scale * np.array([[row[what] for row in run[:count]] for run in runs])
     pictures.band(axis, steps, values.T, colour, label, most=count, dash=dash)
 
 

@@ -1,4 +1,4 @@
-"""Evaluated return over simulator steps, Go1: peers.png, and the table of README.md.
+"""Evaluated return and falls over simulator steps, Go1: peers.png, and the table of README.md.
 
     python experiments/24_off_policy/plot.py
 
@@ -42,24 +42,26 @@ def main():
     results = HERE / "results"
     jobs = less.table.read(HERE.parent / "21_less/results/fresh.csv.xz")
     jobs |= less.table.read(results / "mbpo.csv.xz") | less.table.read(results)
-    fig, (axes,) = pictures.figure(1, 2, 4.3, sharey=True)
+    fig, (axes, falls) = pictures.figure(2, 2, 6.4, sharex="col")
     axes[0].set_xscale("log")
-    for name, look in RUNS.items():
-        less.curve(axes[0], jobs[name], *look)
-    for name, look in SETTINGS.items():
-        less.curve(axes[1], jobs[f"sac_tuning_{name}"], *look)
-    for axis in axes:
-        axis.axhline(LEVEL, color="0.4", lw=1, ls=":")
-        axis.set_ylim(0, None)
-        below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.17), "ncols": 2}
-        axis.legend(frameon=False, columnspacing=1.2, handlelength=2.4, **below)
-    axes[0].set(xlabel="simulator steps (logarithmic)", ylabel="evaluated return")
+    columns = RUNS, {f"sac_tuning_{name}": look for name, look in SETTINGS.items()}
+    for above, below, looks in zip(axes, falls, columns, strict=True):
+        for name, look in looks.items():
+            less.curve(above, jobs[name], *look)
+            less.curve(below, jobs[name], *look, what="fall_rate", scale=100)
+        above.axhline(LEVEL, color="0.4", lw=1, ls=":")
+        above.set_ylim(0, 45)
+        pictures.falls(below)
+        where = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.24), "ncols": 2}
+        below.legend(frameon=False, columnspacing=1.2, handlelength=2.4, **where)
+    axes[0].set_ylabel("evaluated return")
+    falls[0].set(xlabel="simulator steps (logarithmic)", ylabel="episodes with a fall, %")
     axes[0].set_title("Peers, five seeds each but FastTD3", loc="left")
-    axes[1].set_xlabel("million simulator steps")
-    axes[1].xaxis.set_major_formatter(lambda steps, _: f"{steps / 1e6:g}")
+    falls[1].set_xlabel("million simulator steps")
+    falls[1].xaxis.set_major_formatter(lambda steps, _: f"{steps / 1e6:g}")
     axes[1].set_title("Settings of SAC, one seed", loc="left")
     pictures.head(
-        fig, f"Go1. Band: {pictures.covers([3, 5])}. Dotted: the level of a walk", fontsize=9.5
+        fig, f"Go1. Band: {pictures.covers([3, 5])}. Dotted: the level, and 1 % falls", fontsize=9.5
     )
     pictures.save(fig, HERE / "peers")
     print(less.table.table({name: jobs[name] for name in RUNS}, 45))

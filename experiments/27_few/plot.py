@@ -1,4 +1,5 @@
-"""Returns of few robots over simulator steps, and when they are at the level, by what is set: curves.png.
+"""Returns and falls of few robots over simulator steps, and when they are at the level, by what is set:
+curves.png.
 
     python experiments/27_few/plot.py
 
@@ -35,10 +36,11 @@ EARLIER = ((16, "robots16"), (64, "few-940-g"), (256, "robots256"), (1024, "robo
 
 def main():
     jobs = table.read(HERE / "results" / "gpu.csv.xz")
-    page, axes = pictures.figure(1, 3, 3.4)
-    over_steps, by_imagined, by_simulated = axes[0]
+    page, axes = pictures.figure(2, 2, 5.6)
+    (over_steps, by_imagined), (falls, by_simulated) = axes
     for letter, robot, colour in ROBOTS:
         curve(over_steps, jobs[f"fresh-{letter}"], robot, colour)
+        curve(falls, jobs[f"fresh-{letter}"], robot, colour, falls=True)
         for count, name in IMAGINED:
             if name.format(letter) in jobs:
                 bar(by_imagined, count, jobs[name.format(letter)], colour)
@@ -50,9 +52,12 @@ def main():
         )
     bar(by_simulated, 1024, jobs["best-g"], pictures.GREY)
     over_steps.axhline(1, color="0.4", lw=1, ls=":")
-    over_steps.set(xlabel="thousand simulator steps", xlim=(0, 50), ylim=(0, None))
+    over_steps.set(xlim=(0, 50), ylim=(0, None))
     over_steps.set_title("return, in levels", loc="left")
-    over_steps.legend(frameon=False, fontsize=8, loc="lower right")
+    over_steps.legend(frameon=False, loc="lower right")
+    pictures.falls(falls)
+    falls.set(xlabel="thousand simulator steps", xlim=(0, 50))
+    falls.set_title("episodes with a fall, %", loc="left")
     for axis, what in (
         (by_imagined, "imagined robots for a real one"),
         (by_simulated, "real robots"),
@@ -66,12 +71,13 @@ def main():
     pictures.save(page, HERE / "curves")
 
 
-def curve(axis, job, robot, colour):
-    """The mean return of a job's seeds, in levels of its robot."""
+def curve(axis, job, robot, colour, falls=False):
+    """The mean return of a job's seeds, in levels of its robot; or their falls, in per cent."""
     seeds = table.runs.seeds(job)
     steps = np.array([row["sim_steps"] for row in seeds[0]]) / 1e3
-    returns = np.array([[row["return"] for row in rows] for rows in seeds]).T
-    pictures.band(axis, steps, returns / table.level_of(job), colour, robot, most=len(steps))
+    what, unit = ("fall_rate", 0.01) if falls else ("return", table.level_of(job))
+    values = np.array([[row[what] for row in rows] for rows in seeds]).T
+    pictures.band(axis, steps, values / unit, colour, robot, most=len(steps))
 
 
 def bar(axis, at, job, colour, fill=None):
