@@ -48,6 +48,7 @@ def main():
     parser.add_argument("parts", nargs="+")
     parser.add_argument("--seconds", type=float, default=float("inf"), help="of all")
     args = parser.parse_args()
+    args.out = args.out.resolve()  # a command may run elsewhere
     every = list(read(args.plan))
     if missing := [part for part in args.parts if part not in {line.part for line in every}]:
         raise SystemExit(f"{args.plan} has no part {missing[0]!r}")

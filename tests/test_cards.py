@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from dynappo.bench import command as bench
-from experiments import cards
+from experiments import cards, paper
 
 ROOT = Path(__file__).resolve().parent.parent
 PLAN = ROOT / "experiments/next.txt"
@@ -57,6 +57,16 @@ c 0a 9 touch OUT/never.txt
             "third.txt",
             "fourth.txt",
         }
+
+
+def test_a_command_that_runs_elsewhere_writes_into_the_same_folder(tmp_path, monkeypatch):
+    """OUT is a whole path, so `env -C` does not move it."""
+    (tmp_path / "there").mkdir()
+    (tmp_path / "plan.txt").write_text("a 0a 9 env -C there touch OUT/file\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["cards.py", "out", "plan.txt", "a"])
+    cards.main()
+    assert (tmp_path / "out/file").exists()
 
 
 def test_where_no_time_is_left_a_command_does_not_begin(tmp_path):
@@ -118,7 +128,7 @@ def test_of_jobs_only_those_run_whose_names_begin_as_asked(tmp_path, monkeypatch
 
 def test_what_runs_next_names_scripts_and_jobs_that_there_are():
     """And a card whose seconds count is one lane's alone."""
-    lines = list(cards.read(PLAN))
+    lines, asked = list(cards.read(PLAN)), {}
     assert len(lines) > 5
     for line in lines:
         words, folder = shlex.split(line.command), ROOT
@@ -130,6 +140,10 @@ def test_what_runs_next_names_scripts_and_jobs_that_there_are():
             assert rest[0] == "dynappo.bench" and bench.parse(rest[1:])
             continue
         assert (folder / script).is_file()
+        if script.endswith("/peers.py"):
+            names = [x for x in rest[2:] if not x.startswith("--") and not x.isdigit()]
+            settings = paper.jobs(folder / rest[1])
+            asked.setdefault(rest[1], set()).update(paper.chosen(settings, names))
         if not script.endswith("/run.py"):
             continue
         parser = argparse.ArgumentParser()
@@ -149,3 +163,6 @@ def test_what_runs_next_names_scripts_and_jobs_that_there_are():
         if "30_row_cost" in script:
             shared = {x.lane for x in lines if (x.part, x.card) == (line.part, line.card)}
             assert shared == {line.lane}
+    for jobs, names in asked.items():  # all but the settings that are whole already
+        whole = {"sac-u16", "sac-b512"} if "27_few" in jobs else set()
+        assert names == set(paper.jobs(ROOT / jobs)) - whole

@@ -2,6 +2,7 @@
 
 import csv
 import importlib
+import json
 import lzma
 from functools import partial
 from pathlib import Path
@@ -234,7 +235,7 @@ def test_a_verdict_is_by_the_rules_of_the_page():
     means = dict(tail=(40, 0.1), ppo16=(40, 0.1), raw=(44, 0.1), cold=(10, 0.1), unscaled=(40, 0.2))
     means["unmasked"] = (39, 9.0)
     seeds = {name: rng.normal(*some, size=5) for name, some in means.items()}
-    seeds["cold"][0] = np.nan  # counts as 0
+    seeds["cold"][0] = np.nan  # counts as 0, and as a fall
 
     def run(returns):
         rows = [{"return": str(x), "fall_rate": "0.5"} for x in returns]
@@ -251,6 +252,11 @@ def test_a_verdict_is_by_the_rules_of_the_page():
     }
     seeds["cold"][0] = 0.0
     assert found["cold"].share == pytest.approx(seeds["cold"].mean() / seeds["ppo16"].mean())
+    assert table.values({"a": {9: run([np.nan])[300]}}, "a", 9) == [0.0]
+    rows = [{"fall_rate": "nan"}, {"fall_rate": "0.25"}]
+    assert table.values({"a": {9: rows}}, "a", 9, "fall_rate") == [1.0, 0.25]
+    del runs["unmasked-g"][300]  # cut off before its end
+    assert table.Pair("g", "unmasked", "tail", "ppo16", 300) not in table.found(runs, pairs)
     plain = [stats.welch_of(seeds[pair.job], seeds["tail"]) for pair in pairs[:-1]]
     expected = stats.holm([*plain, 1.0])
     np.testing.assert_allclose([one.p for one in found.values()], expected[:-1])
@@ -275,13 +281,13 @@ def test_the_page_says_what_the_tables_do_not(gpu):
         one = {x: error[f"{x}-{robot}"] for x in ("tail", "raw", "unscaled", "raw-unscaled")}
         assert max(one, key=one.__getitem__) == "unscaled"
         assert max(error, key=lambda x: error[x] * x.endswith(f"-{robot}")) == f"cold-{robot}"
-    loss = [mean(f"{x}-g", "model_loss_before") for x in ("cold", "tail")]
-    assert "Before a fit its loss is {:.2f} on a Go1, with `tail` {:.2f}".format(*loss) in words
     seeds = table.values(gpu, "cold-g", 300)
     assert "Go1 have {:.1f}, {:.1f} and {:.1f} after 300 iterations".format(*seeds) in words
     seeds = table.values(gpu, "best-unanchored-g", 300)
-    assert "({:.1f} at iteration 300, the others {:.1f} and {:.1f})".format(*seeds) in words
-    assert f"({table.values(gpu, 'best-unanchored-g', 500)[0]:.1f} at 500)" in words
+    assert "nor at 300 ({:.1f}, the others {:.1f} and {:.1f});".format(*seeds) in words
+    first = [table.values(gpu, "best-unanchored-g", k)[0] for k in (160, 500)]
+    text = "learned nothing when the tails end ({:.1f} at iteration 160)"
+    assert text.format(first[0]) in words and f"at 500 it has {first[1]:.1f}" in words
     assert min(table.values(gpu, "best-anchored-g", 300)) > 38
     at = [mean(f"best-{x}anchored-{r}", "return", 100) for r in "gc" for x in ("un", "")]
     text = "It is {:.1f} instead of {:.1f} on a Go1, {:.1f} instead of {:.1f} on an ANYmal-C"
@@ -294,6 +300,28 @@ def test_the_page_says_what_the_tables_do_not(gpu):
     assert "{:.1f} points more of the episodes ({:.1f} to {:.1f},".format(*more) in words
     less = stats.difference(*(table.values(gpu, x, 500) for x in ("rows24-g", "dose16-falls-g")))
     assert "{:.1f} less than 24 real ones ({:.1f} to {:.1f}".format(*less) in words
+    ends = table.values(gpu, "dose16-falls-g", 500)
+    assert sum(x >= 38 for x in ends) == 2 and f"comes to {np.mean(ends):.1f} of 45, two" in words
+    # PPO-16 with 1024 robots, of 17_regimes: other seeds, and these
+    folder, name = HERE.parent / "17_regimes/results", "go1_ppo16_rollout.num_envs_1024_rollout"
+    batches = [
+        json.loads((folder / f"{more}{name}.horizon_16.json").read_text())["evaluation"]["return"]
+        for more in ("", "more/")
+    ]
+    every = np.concatenate(batches)
+    text = (
+        "over {} seeds it has {:.1f} ([17_regimes](../17_regimes/README.md)), where 700 to 702 had"
+    )
+    assert text.format(len(every), every.mean()) in words
+    assert "{:.1f}, {:.1f} and {:.1f}, too".format(*batches[0][:3]) in words
+    gain = stats.difference(table.values(gpu, "dose8-g", 500), every)
+    assert "{:.1f} more ({:.1f} to {:.1f}; looked for afterwards)".format(*gain) in words
+    gains = [
+        mean(f"robots1024-{x}-c", "return", 500) - mean("robots1024-ppo12-c", "return", 500)
+        for x in ("dyna4", "dyna4-noschedule", "ppo16")
+    ]
+    text = "{:.0f} and {:.0f} % of what four real rows gain"
+    assert text.format(*(100 * x / gains[2] for x in gains[:2])) in words
     others = [
         one.share
         for title in list(table.TABLES)[:1]

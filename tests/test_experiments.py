@@ -1891,7 +1891,7 @@ def test_the_table_of_ppos_grid_is_that_of_its_runs():
         text.format(*(ours_of(f"{n}-{x}").level.mean() / 1e6 for x in "ghcd"))
         for n in ("ppo-walk", "ppo")
     ]
-    assert f"{first[0]} M, of the PPO chosen for the level {first[1]}" in words
+    assert f"{first[0]} M, of the older PPO {first[1]}" in words
     with lzma.open(LESS / "results/ppo.csv.xz", "rt", newline="") as file:
         runs = {
             (r["batch"], r["name"], r["seed"])
@@ -2523,12 +2523,12 @@ def test_what_the_other_parts_of_few_are_worth_is_as_the_page_says():
         return f"({half - mean:.1f} sooner to {mean + half:.1f} later)"
 
     mean, half, p = tests["commands", seeds]
-    told = f"{mean:.1f} % more of the episodes have a fall without them, in the mean of 20 pairs of equal"
+    told = f"falls are {mean:.1f} points more without them, in the mean of 20 pairs of equal"
     told += f" seeds (95 % from {mean - half:.1f} to {mean + half:.1f} more, p {p:.3f})"
     assert f"From 26 to 34 k {told}." in words
     assert f"the one below, p is {holm['commands', seeds]:.3f}." in words
     text = " ".join((EXPERIMENTS / "27_few/README.md").read_text().split())
-    assert f"(without them {mean:.1f} % more episodes have a fall, over the four)" in text
+    assert f"(without them falls are {mean:.1f} points more, over the four)" in text
     assert (
         "no difference to the level is shown for 19 of 20 seeds. One ANYmal-C is not there" in text
     )
@@ -2541,13 +2541,14 @@ def test_what_the_other_parts_of_few_are_worth_is_as_the_page_says():
     assert all(np.mean(x) > np.mean(y) and stats.welch_of(x, y) > 0.05 for x, y in robots)
     new = [seeds("commands", x, 0, np.inf) - seeds("whole", x, 0, np.inf) for x in "hd"]
     mean, half, _ = around_of_pairs(np.concatenate(new))
-    told = f"evaluations {mean:.1f} % more (ten pairs, {half - mean:.1f} fewer to {mean + half:.1f} more)"
+    told = f"evaluations {mean:.1f} points more (ten pairs, {half - mean:.1f} fewer to"
+    told += f" {mean + half:.1f} more)"
     assert told in words
     mean, half, _ = tests["commands", level]
     assert f"{-mean:.1f} k steps sooner without {sooner(mean, half)}" in words
 
     mean, half, p = tests["late", seeds]
-    told = f"{-mean:.1f} % fewer of the episodes have a fall without them (20 pairs, {half - mean:.1f} fewer"
+    told = f"falls are {-mean:.1f} points fewer without them (20 pairs, {half - mean:.1f} fewer"
     assert f"{told} to {mean + half:.1f} more, p {p:.2f})" in words
     config = config_lib.load("configs/go1.py:few")
     steps = schedule.sim_steps(config_lib.validate(config))
@@ -2583,7 +2584,7 @@ def test_what_the_other_parts_of_few_are_worth_is_as_the_page_says():
     told = f"19 of 20 runs get there, {-mean:.1f} k steps sooner than the run of the same seed (95 % from"
     assert f"{told} {half - mean:.1f} sooner to {mean + half:.1f} later)" in words
     mean, half, _ = tests["age100", seeds]
-    told = f"in the mean {mean:.1f} % more than with all rows ({half - mean:.1f} fewer"
+    told = f"in the mean {mean:.1f} points more than with all rows ({half - mean:.1f} fewer"
     assert f"{told} to {mean + half:.1f} more)" in words
     told = re.search(r"From 26 to 34 k ([^%]+) % of the episodes have a fall, in the mean", words)
     assert shows(told[1], *(np.mean(seeds("age100", x)) for x in "ghcd"))

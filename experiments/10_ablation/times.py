@@ -32,13 +32,12 @@ def main():
     if not args.table:
         devices.own_process()
         measure(args.out, plot.GRID)
-    print(table(paper.rows(args.out)))
+    print(table([row for path in known(args.out) for row in paper.rows(path)]))
 
 
 def measure(out: Path, grid, settings=SETTINGS) -> None:
     """Add the rows that are missing."""
-    known = [path for path in {out, HERE / "times.csv"} if path.exists()]
-    there = {(row["envs"], row["horizon"]) for path in known for row in paper.rows(path)}
+    there = {(row["envs"], row["horizon"]) for path in known(out) for row in paper.rows(path)}
     for envs, horizon in grid:
         if (envs, horizon) in there:
             continue
@@ -47,6 +46,11 @@ def measure(out: Path, grid, settings=SETTINGS) -> None:
         row |= {"device": program.device, "commit": versions.commit()}
         log.append_csv(out, [row])
         print(*row.values(), flush=True)
+
+
+def known(out: Path) -> list[Path]:
+    """Files of cells: what is kept, and `out`."""
+    return list(dict.fromkeys((HERE / "times.csv", out)))
 
 
 def iteration(program) -> float:

@@ -79,7 +79,7 @@ def main():
 
 
 def read(path: Path) -> dict[str, dict[int, list[dict[str, str]]]]:
-    """Rows by job and iteration. A seed whose numbers are not finite has a return of 0."""
+    """Rows by job and iteration."""
     runs: dict = {}
     with lzma.open(path, "rt", newline="") as file:
         for row in csv.DictReader(file):
@@ -87,10 +87,13 @@ def read(path: Path) -> dict[str, dict[int, list[dict[str, str]]]]:
     return runs
 
 
+WORST = {"return": 0.0, "fall_rate": 1.0}  # of a seed whose numbers are not finite
+
+
 def values(runs, job: str, iteration: int, column="return") -> list[float]:
-    """A number a seed."""
+    """A number a seed; where it is not finite, that of a robot that only falls."""
     found = [float(row[column]) for row in runs[job][iteration]]
-    return [x if math.isfinite(x) else 0.0 for x in found]
+    return [x if math.isfinite(x) else WORST.get(column, math.nan) for x in found]
 
 
 def cell(runs, job: str, iteration: int) -> str:
@@ -110,7 +113,11 @@ class Found(NamedTuple):
 
 def found(runs, table: list[Pair]) -> dict[Pair, Found]:
     """Of the pairs that have run; the others count in Holm's correction."""
-    ran = [pair for pair in table if {f"{x}-{pair.robot}" for x in pair[1:3]} <= set(runs)]
+    ran = [
+        pair
+        for pair in table
+        if all(pair.end in runs.get(f"{x}-{pair.robot}", {}) for x in pair[1:4] if x)
+    ]
     ends = {
         pair: [values(runs, f"{x}-{pair.robot}", pair.end) if x else [] for x in pair[1:4]]
         for pair in ran

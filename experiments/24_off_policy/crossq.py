@@ -10,8 +10,9 @@ A control step adds a transition of each robot, and is followed by `--updates` g
 transitions: `--updates` = `--robots` is one for each transition.
 
 `--mirror`: half of a batch is mirrored, left for right, as `best` has a policy and a model that treat both
-alike. Everything between two evaluations is one compiled program, of `--num-seeds` seeds at once: a gradient
-step is many small kernels, so a second seed costs little. `[S]` is their axis.
+alike. Everything between two evaluations is one compiled program, of `--num-seeds` seeds at once, `[S]`. A
+gradient step is many small kernels, so a second seed should cost little (not measured). Seconds are of all
+seeds.
 """
 
 import argparse
@@ -285,7 +286,7 @@ def learn(method: Method, learners: Learner, batches: Transitions, keys) -> Lear
     def act_too(learners):
         return jax.vmap(functools.partial(learn_actor, method))(learners, batches, actor_keys)
 
-    # seeds count alike, so one of them decides and the others' actors are not computed in vain
+    # all seeds have made as many updates; a cond inside vmap would compute the actor every time
     return jax.lax.cond(learners.updates[0] % DELAY == 0, act_too, lambda x: x, learners)
 
 

@@ -4,7 +4,7 @@
         [--seeds 0 1]
 
 A line is `NAME SCRIPT ARGUMENTS`, SCRIPT one of 24_off_policy, and becomes OUT_FOLDER/NAME-SEED.csv for each
-seed. crossq.py trains many seeds at once, which must follow each other: OUT_FOLDER/NAME-FIRST.csv is of all.
+seed. crossq.py trains many seeds at once, which must follow each other: OUT_FOLDER/NAME-FIRST-LAST.csv.
 A file that is there is skipped. `--workers`: so many share the device, so their clocks say nothing. A .log
 beside a .csv has what the run said.
 """
@@ -28,7 +28,7 @@ def main():
     parser = paper.parser(__doc__)
     parser.add_argument("out", type=Path)
     parser.add_argument("jobs", type=Path)
-    parser.add_argument("names", nargs="*", help="only jobs whose names begin so")
+    parser.add_argument("names", nargs="*", help="the job of that name, else those that begin so")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1])
     args = parser.parse_args()
@@ -37,11 +37,15 @@ def main():
     chosen = paper.chosen(jobs, args.names)
     with ThreadPoolExecutor(args.workers) as pool:
         runs = [
-            (args.out / f"{name}-{seed}.csv", jobs[name], seed, count)
+            (args.out / f"{name}-{seeds_of(seed, count)}.csv", jobs[name], seed, count)
             for name in chosen
             for seed, count in groups(jobs[name], args.seeds)
         ]
         list(pool.map(lambda run: start(*run, args.workers), runs))
+
+
+def seeds_of(first: int, count: int) -> str:
+    return f"{first}-{first + count - 1}" if count > 1 else f"{first}"
 
 
 def groups(job: str, seeds: list[int]) -> list[tuple[int, int]]:
