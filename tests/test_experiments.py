@@ -2581,7 +2581,9 @@ def test_what_the_other_parts_of_few_are_worth_is_as_the_page_says():
     pairs = raw - np.concatenate([level("whole", x) for x in "ghcd"])
     assert np.isnan(pairs).nonzero()[0].tolist() == [10]
     mean, half, _ = around_of_pairs(pairs[np.isfinite(pairs)])
-    told = f"19 of 20 runs get to the level, {-mean:.1f} k steps sooner than the run of the same seed"
+    told = (
+        f"19 of 20 runs get to the level, {-mean:.1f} k steps sooner than the run of the same seed"
+    )
     told += " (95 % from"
     assert f"{told} {half - mean:.1f} sooner to {mean + half:.1f} later)" in words
     mean, half, _ = tests["age100", seeds]
