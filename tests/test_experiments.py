@@ -28,11 +28,14 @@ from toy_runs import assert_close
 
 from dynappo import algorithm, schedule
 from dynappo import config as config_lib
+from dynappo.config import splitting
 from dynappo.description import robot as robot_lib
 from dynappo.learner import networks
 from dynappo.model import dynamics
 from dynappo.policy import policy_file, policy_source
+from dynappo.tasks.velocity import env as env_lib
 from dynappo.terrain import tiles
+from dynappo.types import Outcome
 from experiments import paper, pictures, run, stats
 
 ROOT = pathlib.Path(config_lib.__file__).parents[2]
@@ -4533,6 +4536,51 @@ def test_the_simulators_tail_is_what_physics_would_have_written():
     assert abs(model.obs[4] - whole.obs[4]).max() > 1e-3
     with pytest.raises(SystemExit, match="expected one of last, simulator, ensemble"):
         controls.put_in("first")
+
+
+def test_commands_that_are_spread_follow_each_other_and_fill_the_ranges(monkeypatch):
+    """The control `spread`, by the task's own resets: where the shipped reset tells a new command, the last
+    one moved on by the same step, else the same; of 64 each eighth of a range has its share."""
+    controls = script("21_less/controls")
+    settings = config_lib.validate(config_lib.load("configs/go1.py:few"))
+    _, hyper = splitting.split(settings)
+    given = robot_lib.load("go1"), settings.task, settings.physics
+    shipped = env_lib.make(*given)
+    for module, name, other in controls.CONTROLS["spread"]:
+        monkeypatch.setattr(module, name, other)
+    env = env_lib.make(*given)
+    body = env.randomize(hyper, jax.random.key(0))
+    state = env.reset(hyper, body, jax.random.key(1))
+    np.testing.assert_array_equal(
+        state.command, shipped.reset(hyper, body, jax.random.key(1)).command
+    )
+    ends = Outcome(
+        reward=jnp.zeros(()),
+        discount=jnp.ones(()),
+        truncation=jnp.ones(()),
+        next_obs=state.obs,
+        next_prop=state.prop,
+        episode_return=jnp.zeros(()),
+        episode_length=jnp.float32(125),
+    )
+    told, same = [state.command], 0
+    for k in range(8):
+        after, by_chance = (
+            one.autoreset(hyper, body, state, ends, jax.random.key(10 + k))
+            for one in (env, shipped)
+        )
+        if (by_chance.command == state.command).all():
+            np.testing.assert_array_equal(after.command, state.command)
+            same += 1
+        else:
+            step = (np.asarray(state.command) + 1) / 2 + np.array(controls.SPREAD)
+            np.testing.assert_allclose(after.command, 2 * (step % 1) - 1, atol=1e-5)
+            told.append(after.command)
+        state = after
+    assert same and len(told) > 3 and not controls.before
+    every = (0.3 + np.outer(np.arange(64), controls.SPREAD)) % 1
+    counts = [np.histogram(x, 8, (0, 1))[0] for x in every.T]
+    assert all(6 <= n <= 10 for some in counts for n in some)  # 8 each; by chance 3 to 14
 
 
 def test_members_of_an_ensemble_write_a_row_each_and_the_most_doubtful_tails_end():
