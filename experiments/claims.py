@@ -165,13 +165,11 @@ STATED = {  # name -> where, and the words
     "go1 seconds to 38, MJX-JAX": [
         ("README.md", "| Go1, MJX-JAX | 5.5 | {:.1f} |"),
         ("docs/results.md", "it is at 38 after {:.1f} s and with PPO with 1024"),
-        ("experiments/README.md", "it is at 38 after {:.1f} s and with PPO"),
         (ROW_COST, "a Go1 is at its level after {:.2f} s with `best` and after 11.76"),
     ],
     "go1 PPO seconds to 38, MJX-JAX": [
         ("README.md", "| Go1, MJX-JAX | 5.5 | 2.4 | {:.1f} |"),
         ("docs/results.md", "with PPO with 1024 robots after {:.1f} (five"),
-        ("experiments/README.md", "s and with PPO after {:.1f}, and"),
         (ROW_COST, "and after {:.2f} with PPO with 1024 robots"),
     ],
     "go1 fast PPO's steps to 38, by best's, MJX-JAX": [
@@ -189,26 +187,22 @@ STATED = {  # name -> where, and the words
     "go1 seconds to 38, exact task": [
         ("README.md", "Go1, Isaac Lab's exact task | 2.3 | {:.1f} |"),
         ("docs/results.md", "a Go1 is at 38 after {:.1f} instead of 5.5 s, an ANYmal-C"),
-        ("experiments/README.md", "at its level after {:.1f} instead of"),
         (ROW_COST, "at the level after {:.2f} instead of 5.47"),
     ],
     "go1 PPO seconds to 38, exact task": [
         ("README.md", "Go1, Isaac Lab's exact task | 2.3 | 3.5 | {:.1f} |"),
         ("docs/results.md", "instead of {:.1f} s, an ANYmal-C"),
-        ("experiments/README.md", "instead of {:.1f} s (Go1)"),
         (ROW_COST, "instead of {:.2f} s on a Go1"),
     ],
     "go1 fast PPO's steps to 38, by best's, exact task": [(ROW_COST, "for {:.1f} and 11 times")],
     "anymal_c seconds to 24, exact task": [
         ("README.md", "ANYmal-C, Isaac Lab's exact task | 2.4 | {:.1f} |"),
         ("docs/results.md", "an ANYmal-C at 24 after {:.1f} instead of"),
-        ("experiments/README.md", "and {:.1f} instead of 7.5 (ANYmal-C)"),
         (ROW_COST, "and after {:.2f} instead of 7.53"),
     ],
     "anymal_c PPO seconds to 24, exact task": [
         ("README.md", "ANYmal-C, Isaac Lab's exact task | 2.4 | 2.8 | {:.1f} |"),
         ("docs/results.md", "instead of {:.1f} (five seeds each;"),
-        ("experiments/README.md", "instead of {:.1f} (ANYmal-C)"),
         (ROW_COST, "instead of {:.2f} s on an ANYmal-C"),
     ],
     "anymal_c fast PPO's steps to 24, by best's, exact task": [
@@ -218,7 +212,6 @@ STATED = {  # name -> where, and the words
         ("README.md", "G1, our kernel | 0.5 | {:.2f} |"),
         ("docs/results.md", "within the errors after {:.2f} s and walks"),
         ("docs/speed.md", "within the errors after {:.2f} s, walks"),
-        ("experiments/README.md", "with PPO, after 3.13 instead of {:.2f} s"),
         ("experiments/25_humanoid/README.md", "after 3.13 instead of {:.2f} s"),
         ("experiments/25_humanoid/seconds.md", "and `best` after {:.2f} ±"),
         (ROW_COST, "a G1 is at its level after {:.2f} s with `best`"),
@@ -226,7 +219,6 @@ STATED = {  # name -> where, and the words
     "g1 PPO seconds to its level": [
         ("README.md", "G1, our kernel | 0.5 | 3.65 | {:.2f} |"),
         ("docs/results.md", "1024 robots and 12 rows after {:.2f} and"),
-        ("experiments/README.md", "with PPO, after {:.2f} instead of"),
         ("experiments/25_humanoid/README.md", "than `best`, after {:.2f} instead of"),
         ("experiments/25_humanoid/seconds.md", "within the errors after {:.2f} ±"),
         (ROW_COST, "(ten fresh seeds) and {:.2f} with PPO (seven)"),
@@ -259,7 +251,6 @@ STATED = {  # name -> where, and the words
         ),
         ("docs/results.md", "`best` is within the errors after {:.2f} s (ten fresh seeds on"),
         ("docs/speed.md", "22 to 24 ms, within the errors after {:.2f} s (on a host"),
-        ("experiments/README.md", "With settings for seconds `best` takes {:.2f} s there"),
         (
             "experiments/25_humanoid/README.md",
             "`best` is within the errors after {:.2f} s (ten seeds of",
@@ -271,7 +262,6 @@ STATED = {  # name -> where, and the words
         ("README.md", "G1, MuJoCo Warp's own step | 4.4 | {:.1f} |"),
         ("docs/results.md", "on a G1 at 4.4 ms, after {:.1f} instead of"),
         ("docs/results.md", "it is {:.1f} instead of 15.0 s (five seeds each)"),
-        ("experiments/README.md", "At 4.4 ms `best` takes {:.1f} instead of"),
         ("experiments/25_humanoid/README.md", "it is {:.1f} instead of 15.0 s (five"),
         ("experiments/25_humanoid/README.md", "within the errors after {:.2f} s and PPO"),
         ("experiments/25_humanoid/seconds.md", "sooner: within the errors after {:.2f} ±"),
@@ -281,7 +271,6 @@ STATED = {  # name -> where, and the words
         ("README.md", "G1, MuJoCo Warp's own step | 4.4 | 6.2 | {:.1f} |"),
         ("docs/results.md", "6.2 instead of {:.1f} s (five seeds each). On rough"),
         ("docs/results.md", "6.2 instead of {:.1f} s (five seeds each). With the"),
-        ("experiments/README.md", "6.2 instead of {:.1f} s on a G1 ([30]"),
         ("experiments/25_humanoid/README.md", "6.2 instead of {:.1f} s (five"),
         ("experiments/25_humanoid/README.md", "s and PPO after {:.2f}. With"),
         ("experiments/25_humanoid/seconds.md", "12 rows after {:.2f} ±"),
@@ -299,7 +288,6 @@ STATED = {  # name -> where, and the words
         ("README.md", "Go2 on rough ground, our kernel | 0.3 | {:.1f} |"),
         ("docs/results.md", "a Go2 is at its level later, after {:.1f} s"),
         ("docs/speed.md", "at its level after 10.1 instead of {:.1f} s"),
-        ("experiments/README.md", "after 10.1 instead of {:.1f} s; with"),
         ("experiments/28_rough/README.md", "first at the level after {:.1f} s of training"),
         ("experiments/28_rough/time.md", "of tiles and {:.1f} to the level"),
         (ROW_COST, "a Go2 is at its level after {:.1f} s with `best`"),
@@ -308,7 +296,6 @@ STATED = {  # name -> where, and the words
         ("README.md", "Go2 on rough ground, our kernel | 0.3 | 17.8 | {:.1f} |"),
         ("docs/results.md", "PPO with 4096 robots after {:.1f} (five seeds each)"),
         ("docs/speed.md", "on rough ground is at its level after {:.1f} instead of"),
-        ("experiments/README.md", "sooner with PPO, after {:.1f} instead of"),
         ("experiments/28_rough/README.md", "4096 robots after {:.1f}, for"),
         ("experiments/28_rough/time.md", "that same card 7.5, {:.1f} and 36.0"),
         (ROW_COST, "and after {:.1f} with PPO on the same card"),
@@ -318,7 +305,6 @@ STATED = {  # name -> where, and the words
         ("docs/speed.md", "is first at its level after {:.1f} s and 10.5 M steps"),
         ("docs/results.md", "settings for seconds `best` takes {:.1f} on that card"),
         ("docs/speed.md", "with settings for seconds `best` takes {:.1f} s there"),
-        ("experiments/README.md", "with settings for seconds `best` takes {:.1f} s, and"),
         (
             "experiments/28_rough/README.md",
             "settings for seconds `best` takes {:.1f} s on PPO's card",
