@@ -1,7 +1,7 @@
 """Statistics of means over seeds: every table and picture of the experiments takes them from here.
 
 A seed is one number, so five seeds are five numbers. They are taken as independent and roughly normal,
-with a variance of their own in each setting. Seeds are never paired: MuJoCo Warp is not deterministic,
+with a variance of their own in each setting. Seeds are not paired here: MuJoCo Warp is not deterministic,
 so equal seed numbers have nothing in common.
 
 **Seeds that never reach a level are counted, never dropped in silence.** Means of steps are of the seeds
