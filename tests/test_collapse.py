@@ -368,6 +368,17 @@ def test_the_page_has_what_the_runs_without_anchors_had():
     assert told in words
     falls = [100 * np.mean(means(x, "fall_rate")) for x in ("unanchored", "rebuilt")]
     assert "{:.0f} % instead of {:.0f} %".format(*falls) in words
+    at_200 = [
+        np.mean([float(r["return"]) for r in runs[x] if r["iteration"] == "200"])
+        for x in ("cold", "anchored")
+    ]
+    share = f"{at_200[0] / at_200[1]:.2f}"
+    assert f"the return is {at_200[0]:.1f}, {share} of the anchored one" in words
+    assert f"a Go1 has {share} of what it has" in " ".join(page.split())
+    less = stats.difference(means("anchored", "return"), means("cold", "return"))
+    assert "1.51 M {:.1f} less ({:.1f} to {:.1f})".format(*less) in words
+    error = [np.mean(means(x, "model_error_4")) for x in ("cold", "anchored")]
+    assert "four steps is {:.2f}, with weights that go on {:.2f}".format(*error) in words
 
 
 def test_the_picture_is_of_these_runs(monkeypatch):
