@@ -344,6 +344,9 @@ def test_the_page_has_what_the_runs_without_anchors_had():
         cells = [cell.strip() for cell in line.split("|")[2:-1]]
         for at, cell in zip(range(50, 401, 50), cells, strict=True):
             some = [row for row in rows if int(row["iteration"]) == at]
+            if name == "cold-epochs" and at > 250:  # where it ends
+                assert not some and not cell
+                continue
             assert len(some) == 3
             back, falls = (np.mean([float(r[x]) for r in some]) for x in ("return", "fall_rate"))
             assert cell == f"{back:.1f}, {100 * falls:.0f} %", (name, at)
@@ -377,6 +380,10 @@ def test_the_page_has_what_the_runs_without_anchors_had():
     assert f"a Go1 has {share} of what it has" in " ".join(page.split())
     less = stats.difference(means("anchored", "return"), means("cold", "return"))
     assert "1.51 M {:.1f} less ({:.1f} to {:.1f})".format(*less) in words
+    last = [r for r in runs["cold-epochs"] if r["iteration"] == "200"]
+    back, error = (np.mean([float(r[x]) for r in last]) for x in ("return", "model_error_4"))
+    text = f"at iteration 200 it has {back:.1f}, {back / at_200[1]:.2f} of the anchored return"
+    assert text in words and f"and its error is {error:.2f}" in words
     error = [np.mean(means(x, "model_error_4")) for x in ("cold", "anchored")]
     assert "four steps is {:.2f}, with weights that go on {:.2f}".format(*error) in words
 
