@@ -29,9 +29,7 @@ IMAGINED = (  # robots for each simulated one -> job, of those with 4 real rows 
     (64, "i64-{}"),
     (256, "i256-{}"),
 )
-# real robots -> job of today's `few`, and before today's weight of foot_clearance
-SIMULATED = ((1, "robots-1-g"), (4, "robots-4-g"), (64, "fresh-g"))
-EARLIER = ((16, "robots16"), (64, "few-940-g"), (256, "robots256"), (1024, "robots1024"))
+SIMULATED = (1, 4, 16, 64, 256, 1024)  # real robots
 
 
 def main():
@@ -39,17 +37,15 @@ def main():
     page, axes = pictures.figure(2, 2, 5.6)
     (over_steps, by_imagined), (falls, by_simulated) = axes
     for letter, robot, colour in ROBOTS:
-        curve(over_steps, jobs[f"fresh-{letter}"], robot, colour)
-        curve(falls, jobs[f"fresh-{letter}"], robot, colour, falls=True)
+        curve(over_steps, jobs[f"fresh-late-{letter}"], robot, colour)
+        curve(falls, jobs[f"fresh-late-{letter}"], robot, colour, falls=True)
         for count, name in IMAGINED:
             if name.format(letter) in jobs:
                 bar(by_imagined, count, jobs[name.format(letter)], colour)
-    for count, name in SIMULATED:
-        bar(by_simulated, count, jobs[name], pictures.BLUE)
-    for count, name in EARLIER:  # beside today's, where both have run
-        bar(
-            by_simulated, 1.25 * count if count == 64 else count, jobs[name], pictures.BLUE, "white"
-        )
+    for letter, colour, aside in (("g", pictures.BLUE, 0.94), ("c", pictures.VERMILION, 1.06)):
+        for count in SIMULATED:
+            name = "fresh-late" if count == 64 else f"robots-{count}"
+            bar(by_simulated, aside * count, jobs[f"{name}-{letter}"], colour)
     bar(by_simulated, 1024, jobs["best-g"], pictures.GREY)
     over_steps.axhline(1, color="0.4", lw=1, ls=":")
     over_steps.set(xlim=(0, 50), ylim=(0, None))
@@ -67,7 +63,7 @@ def main():
     pictures.log(by_imagined)
     pictures.log(by_simulated)
     ticks(by_imagined, (1, 4, 16, 64, 256))
-    ticks(by_simulated, (1, 4, 16, 64, 256, 1024))
+    ticks(by_simulated, SIMULATED)
     pictures.save(page, HERE / "curves")
 
 
@@ -80,7 +76,7 @@ def curve(axis, job, robot, colour, falls=False):
     pictures.band(axis, steps, values / unit, colour, robot, most=len(steps))
 
 
-def bar(axis, at, job, colour, fill=None):
+def bar(axis, at, job, colour):
     """When the seeds of a job are first at the level; a cross above where none is."""
     seeds = table.runs.seeds(job)
     first = table.runs.reached(seeds, table.level_of(job)).level / 1e3
@@ -88,7 +84,7 @@ def bar(axis, at, job, colour, fill=None):
         axis.plot(at, 1e-3 * seeds[0][-1]["sim_steps"], "x", color=colour)
         return
     axis.plot([at, at], [np.nanmin(first), np.nanmax(first)], color=colour, lw=1.2)
-    axis.plot(at, np.nanmean(first), "o", color=colour, mfc=fill or colour, ms=5)
+    axis.plot(at, np.nanmean(first), "o", color=colour, ms=5)
 
 
 def ticks(axis, at):

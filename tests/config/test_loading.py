@@ -193,8 +193,8 @@ def test_a_wrong_field_or_value_is_refused_and_changes_nothing(field, text, expe
 
 
 def test_a_field_that_is_none_by_default_can_be_none_again():
-    config = load("few")
-    assert config.schedule.late_from == 160
+    config = load("best")
+    assert config.schedule.late_from == 60
     config_lib.override(config, "schedule.late_from", "None")
     assert config.schedule.late_from is None
     config_lib.override(config, "schedule.late_from", "100")
