@@ -402,7 +402,10 @@ def test_the_picture_is_of_these_runs(monkeypatch):
     jobs = ["rows24-g", *(f"dose{rows}-g" for rows in table.DOSES)]
     means = [np.mean(table.values(runs, job, 500)) for job in jobs]
     np.testing.assert_allclose(lines["with the tail"], means)
-    lines = {line.get_label(): line.get_ydata() for line in page.axes[5].lines}
+    lines = {line.get_label(): line.get_ydata() for line in page.axes[6].lines}
     falls = [100 * np.mean(table.values(runs, "cold-g", k, "fall_rate")) for k in (100, 200, 300)]
     np.testing.assert_allclose(lines["new weights in each fit"], falls)
+    lines = {line.get_label(): line.get_ydata() for line in page.axes[3].lines}
+    means = [np.mean(table.values(runs, "cold-epochs-c", k)) for k in (100, 200, 300)]
+    np.testing.assert_allclose(lines["new weights, and 100 epochs"], means)
     plt.close("all")

@@ -16,39 +16,49 @@ table = importlib.import_module("experiments.19_collapse.table")
 REAL = "real rows alone", pictures.GREY, (0, (1, 1)), "v"
 TAIL = "with the tail", pictures.BLUE, "-", "o"
 IDEA = "with the tail, and falls", pictures.ORANGE, "none", "D"
-CURVES = {  # of Go1
+CURVES = {
     "ppo16": ("PPO-16", pictures.BLACK, (0, (5, 1.2)), "o"),
     "tail": ("the paper's tail", pictures.BLUE, "-", "s"),
     "unanchored": ("no anchors", pictures.GREEN, (0, (3, 1.2)), "^"),
-    "cold": ("new weights in each fit", pictures.VERMILION, "-", "X"),
     "burn16": ("begins 16 steps behind", pictures.PURPLE, (0, (5, 1.2, 1, 1.2)), "P"),
+    "cold": ("new weights in each fit", pictures.VERMILION, "-", "X"),
+    "cold-ramp": ("new weights, and the ramp", pictures.ORANGE, (0, (1, 1)), "v"),
+    "cold-epochs": ("new weights, and 100 epochs", pictures.SKY, (0, (3, 1, 1, 1)), "D"),
 }
 
 
 def main():
     paper.parser(__doc__).parse_args()
     runs = table.read(table.HERE / "results/gpu.csv.xz")
-    fig, axes = pictures.figure(2, 3, 5.0, sharex="col")
+    page, axes = pictures.figure(2, 4, 5.0, sharex="col")
     for column, robot in enumerate("gc"):
         doses(axes[:, column], runs, robot)
-        axes[0, column].set_title(f"{table.ROBOTS[robot]}, 1024 robots, 24 rows", loc="left")
-        axes[1, column].set_xlabel("rows of the tail, of 24")
+        curves(axes[:, column + 2], runs, robot)
+        for axis, which, what in (
+            (column, "1024 robots", "rows of the tail, of 24"),
+            (column + 2, "4 of 16 rows", "iteration"),
+        ):
+            axes[0, axis].set_title(f"{table.ROBOTS[robot]}, {which}", loc="left")
+            axes[0, axis].set_ylim(-1, {"g": 45, "c": 30}[robot])
+            axes[1, axis].set_ylim(-3, 103)
+            axes[1, axis].set_xlabel(what)
         axes[1, column].set_xticks([0, *table.DOSES])
-    for name, look in CURVES.items():
-        job = f"{name}-g"
-        some = [k for k in sorted(runs[job]) if k % 100 == 0 and k <= 300]
-        draw(axes[:, 2], some, [(runs, job, k) for k in some], look)
-    axes[0, 2].set_title("Go1, 4096 robots, 4 of 16", loc="left")
-    axes[1, 2].set_xlabel("iteration")
-    axes[1, 2].set_xticks([100, 200, 300])
+        axes[1, column + 2].set_xticks([100, 200, 300])
     axes[0, 0].set_ylabel("evaluated return")
     axes[1, 0].set_ylabel("episodes with a fall, %")
-    for column, most in enumerate((45, 30, 45)):
-        axes[0, column].set_ylim(-1, most)
-        axes[1, column].set_ylim(-3, 103)
-        below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.32), "ncols": 1}
-        axes[1, column].legend(frameon=False, handlelength=2.4, **below)
-    pictures.save(fig, table.HERE / "collapse")
+    for column, side, many in ((0, "left", 1), (2, "right", 2)):
+        handles = axes[0, column].get_legend_handles_labels()
+        place = {"loc": f"outside lower {side}", "ncols": many}
+        page.legend(*handles, frameon=False, handlelength=2.4, **place)
+    pictures.save(page, table.HERE / "collapse")
+
+
+def curves(axes, runs, robot: str) -> None:
+    """The paper's tail, and with one thing otherwise, every 100 iterations."""
+    for name, look in CURVES.items():
+        job = f"{name}-{robot}"
+        some = [k for k in sorted(runs[job]) if k % 100 == 0 and k <= 300]
+        draw(axes, some, [(runs, job, k) for k in some], look)
 
 
 def doses(axes, runs, robot: str) -> None:
