@@ -316,12 +316,6 @@ def test_the_page_says_what_the_tables_do_not(gpu):
     assert "{:.1f}, {:.1f} and {:.1f}, too".format(*batches[0][:3]) in words
     gain = stats.difference(table.values(gpu, "dose8-g", 500), every)
     assert "{:.1f} more ({:.1f} to {:.1f}; looked for afterwards)".format(*gain) in words
-    gains = [
-        mean(f"robots1024-{x}-c", "return", 500) - mean("robots1024-ppo12-c", "return", 500)
-        for x in ("dyna4", "dyna4-noschedule", "ppo16")
-    ]
-    text = "{:.0f} and {:.0f} % of what four real rows gain"
-    assert text.format(*(100 * x / gains[2] for x in gains[:2])) in words
     others = [
         one.share
         for title in list(table.TABLES)[:1]
@@ -329,6 +323,198 @@ def test_the_page_says_what_the_tables_do_not(gpu):
         if pair.job != "cold"
     ]
     assert f"The lowest is {min(others):.2f} of PPO-16" in words
+
+
+def test_the_page_says_what_new_weights_do(gpu):
+    """Shares, seeds and errors of `cold` with a ramp or many epochs; the paper's shares are of its Table."""
+    words = " ".join((HERE / "README.md").read_text().split())
+    with (HERE.parent / "paper/platforms.csv").open() as file:
+        best = {
+            (x["robot"], x["variant"]): float(x["max_reward_mean"]) for x in csv.DictReader(file)
+        }
+
+    def each(job, column="return", iteration=300):
+        return table.values(gpu, job, iteration, column)
+
+    def mean(*job):
+        return np.mean(each(*job))
+
+    share = {
+        (x, robot): mean(f"{x}-{robot}") / mean(f"ppo16-{robot}")
+        for x in ("cold", *table.COLD)
+        for robot in "gc"
+    }
+    theirs = {
+        (x, robot[0] if robot == "go1" else robot[-1]): best[robot, x] / best[robot, "ppo16"]
+        for x in ("dyna4", "dyna4_noschedule")
+        for robot in ("go1", "anymal_c")
+    }
+    told = (
+        "has {:.2f} and an ANYmal-C {:.2f} of PPO-16's return; in the paper it is {:.2f} and {:.2f}"
+    )
+    for job, variant, who in (
+        ("cold", "dyna4_noschedule", "A Go1 then "),
+        ("cold-ramp", "dyna4", "a Go1 "),
+    ):
+        numbers = [share[job, robot] for robot in "gc"] + [theirs[variant, robot] for robot in "gc"]
+        assert who + told.format(*numbers) in words
+    text = "a Go1 does not collapse ({:.2f}), an ANYmal-C does ({:.2f})"
+    assert text.format(*(share["cold-epochs", robot] for robot in "gc")) in words
+    text = (
+        "the ramp brings a Go1 from {:.2f} to {:.2f} of PPO-16, and an ANYmal-C from {:.2f} to {:.2f};"
+        " in the paper from {:.2f} to {:.2f}, and from {:.2f} to {:.2f}"
+    )
+    ours = [share[x, robot] for robot in "gc" for x in ("cold", "cold-ramp")]
+    there = [theirs[x, robot] for robot in "gc" for x in ("dyna4_noschedule", "dyna4")]
+    assert text.format(*ours, *there) in words
+    fallen = {pair for pair, x in share.items() if x < table.COLLAPSED}
+    assert fallen == {("cold", "g"), *((x, "c") for x in ("cold", *table.COLD))}
+    three = "({:.1f}, {:.1f}, {:.1f})"
+    text = (
+        f"`cold-ramp` collapses on ANYmal-C {three.replace('(', '(seeds: ')}, not on Go1 {three}."
+    )
+    assert text.format(*each("cold-ramp-c"), *each("cold-ramp-g")) in words
+    text = f"`cold-epochs` does not collapse on Go1 {three}, but on ANYmal-C {three}."
+    assert text.format(*each("cold-epochs-g"), *each("cold-epochs-c")) in words
+    assert min(each("cold-epochs-g")) > 38  # its level: all three learn
+    found = table.found(gpu, table.TABLES["New weights in each fit, beside `tail` and `cold`"])
+    assert len(found) == 8 and all(one.verdict.startswith("open") for one in found.values())
+    gains = [one.difference.value for pair, one in found.items() if pair.beside == "cold"]
+    text = "All four means are above `cold`'s, by {:.1f} to {:.1f},"
+    assert len(gains) == 4 and text.format(min(gains), max(gains)) in words
+    numbers = []
+    for robot in "gc":
+        less, low, high = stats.difference(each(f"ppo16-{robot}"), each(f"cold-ramp-{robot}"))
+        numbers += [less, high, -low]
+    text = (
+        "a Go1 is still {:.1f} below PPO-16 ({:.1f} below to {:.1f} above),"
+        " an ANYmal-C {:.1f} ({:.1f} below to {:.1f} above)"
+    )
+    assert text.format(*numbers) in words
+
+    def pair(job, steps, iteration=300):
+        column = f"model_error_{steps}"
+        return [f"{mean(f'{job}-{robot}', column, iteration):.2f}" for robot in "gc"]
+
+    text = (
+        "over four steps is {} (Go1) and {} (ANYmal-C), with `cold` {} and {};"
+        " over one step it is {} and {}, with `cold` {} and {}"
+    )
+    jobs = [pair(job, steps) for steps in (4, 1) for job in ("cold-epochs", "cold")]
+    assert text.format(*sum(jobs, [])) in words
+    text = "`cold` has {} and {} over four steps, `unscaled` {} and {}, `raw-unscaled` {} and {}, and both"
+    jobs = [pair(job, 4, 100) for job in ("cold", "unscaled", "raw-unscaled")]
+    assert "After 100 iterations " + text.format(*sum(jobs, [])) in words
+    at = [
+        (pair(job, 4, 200)[1], f"{mean(f'{job}-c', 'return', 200):.1f}")
+        for job in ("cold-epochs", "unscaled")
+    ]
+    more = stats.difference(*(each(f"{x}-c", "return", 200) for x in ("unscaled", "cold-epochs")))
+    text = (
+        "After 200 an ANYmal-C of `cold-epochs` has {} and returns {}, of `unscaled` {} and {}"
+        " ({:.1f} more, {:.1f} to {:.1f}, uncorrected)"
+    )
+    assert text.format(*at[0], *at[1], *more) in words
+
+
+def test_the_page_says_what_anymals_below_the_cliff_have(gpu):
+    """Means, a tail's part of what four real rows gain, and how far below PPO-16 it is."""
+    words = " ".join((HERE / "README.md").read_text().split())
+    kinds = "ppo12", *table.TAILS, "ppo16"
+
+    def each(place, kind, robot, end=500):
+        return table.values(gpu, f"{place}-{kind}-{robot}", end)
+
+    def means(place, robot):
+        return {kind: np.mean(each(place, kind, robot)) for kind in kinds}
+
+    for robot, text in (
+        ("c", "PPO-12 has {:.1f}, the tails {:.1f} and {:.1f}, PPO-16 {:.1f}. In the mean that is"),
+        ("d", "PPO-12 has {:.1f}, the tails {:.1f} and {:.1f}, PPO-16 {:.1f}, so"),
+    ):
+        some = means("robots1024", robot)
+        gains = [
+            100 * (some[x] - some["ppo12"]) / (some["ppo16"] - some["ppo12"]) for x in table.TAILS
+        ]
+        text += " {:.0f} and {:.0f} % of what four real rows gain"
+        assert text.format(*some.values(), *gains) in words
+    seeds = each("robots1024", "ppo12", "d")
+    assert f"PPO-12 lie between {min(seeds):.1f} and {max(seeds):.1f}." in words
+    found = table.found(gpu, table.TABLES["ANYmals below the cliff, beside PPO-12"])
+    (one,) = (
+        one for pair, one in found.items() if (pair.job, pair.robot) == ("robots1024-dyna4", "d")
+    )
+    text = "is {:.1f} ({:.1f} to {:.1f}), p {:.2f} by Holm"
+    assert text.format(*one.difference, one.p) in words
+    more = [one for pair, one in found.items() if pair.job.startswith("robots2048")]
+    gains = [one.difference.value for one in more]
+    assert f"The tails have {min(gains):.1f} to {max(gains):.1f} more than PPO-12" in words
+    assert len(more) == 4 and {one.verdict for one in more} == {"open"}
+    many = {robot: means("robots2048", robot) for robot in "cd"}
+    text = "PPO-12 has {:.1f} and {:.1f} (C, D), PPO-16 {:.1f} and {:.1f}"
+    assert text.format(*(many[x][kind] for kind in ("ppo12", "ppo16") for x in "cd")) in words
+    whole = {
+        (place, tail, robot): (each(place, tail, robot), each(place, "ppo16", robot))
+        for place in ("robots1024", "robots2048")
+        for tail in table.TAILS
+        for robot in "cd"
+    }
+    p = dict(zip(whole, stats.holm([stats.welch_of(*x) for x in whole.values()]), strict=True))
+    less = {name: np.mean(x[1]) - np.mean(x[0]) for name, x in whole.items()}
+    worse = [name for name in whole if p[name] < table.ALPHA]
+    lone, *_ = (name for name in worse if name[2] == "c")
+    assert len(worse) == 5 and lone == ("robots2048", "dyna4-noschedule", "c")
+    assert "five of eight are worse" in words
+    of_d = [name for name in worse if name[2] == "d"]
+    text = "on ANYmal-D all four, by {:.1f} to {:.1f} ({:.3f} at most);"
+    shown = [less[name] for name in of_d]
+    assert text.format(min(shown), max(shown), max(p[name] for name in of_d)) in words
+    assert f"with 2048 robots, by {less[lone]:.1f} ({p[lone]:.3f})" in words
+    others = [name for name in whole if name not in worse]
+    text = "The other three are {:.1f} to {:.1f} lower ({:.3f} to {:.2f})"
+    ends = [f([x[name] for name in others]) for x in (less, p) for f in (min, max)]
+    assert len(others) == 3 and text.format(*ends) in words
+    # the paper's own exploration
+    own = {
+        (kind, robot): each("own", kind, robot, 300)
+        for kind in kinds
+        for robot in "cd"
+        if f"own-{kind}-{robot}" in gpu
+    }
+    back = {name: np.mean(x) for name, x in own.items()}
+    text = "PPO-16 has {:.1f} (C) and {:.1f} (D) of 30, below 15, as expected; PPO-12 {:.1f} and {:.1f}"
+    assert text.format(*(back[x, r] for x in ("ppo16", "ppo12") for r in "cd")) in words
+    lucky = [x[3] for (kind, _), x in own.items() if kind != "ppo12"]  # seed 703
+    assert gpu["own-ppo16-c"][300][3]["seed"] == "703"
+    text = (
+        "One seed of five (703) has {:.1f} to {:.1f} with PPO-16 and with the tails;"
+        " of PPO-12 no seed has more than {:.1f}"
+    )
+    low = max(max(x) for (kind, _), x in own.items() if kind == "ppo12")
+    assert text.format(min(lucky), max(lucky), low) in words
+    tail = own["dyna4-noschedule", "c"]
+    two = f"{tail[1]:.1f}"
+    assert two == f"{tail[2]:.1f}"
+    assert f"has {np.mean(tail):.1f}, for two more seeds have {two}" in words
+    rest = [x for (k, _), s in own.items() for i, x in enumerate(s) if k != "ppo12" and i != 3]
+    assert sum(x > 6 for x in rest) == 2  # these two
+    shares = [one.share for pair, one in found.items() if pair.job.startswith("own")]
+    assert "{:.2f} and {:.2f} in the table are shares".format(*shares) in words
+
+
+def test_runs_that_were_cut_off_are_named(gpu):
+    """Those of batch `cut` have since run whole, those of `cut-2` and the exact task have not."""
+    words = " ".join((HERE / "README.md").read_text().split("## What has not run")[1].split())
+    batches = {}
+    for name, by_iteration in table.read(HERE / "results/cut.csv.xz").items():
+        batches.setdefault(by_iteration[100][0]["batch"], {})[name] = max(by_iteration)
+    assert {batch: len(some) for batch, some in batches.items()} == {"cut": 6, "cut-2": 2}
+    assert "these two (`cut-2`), and of six that have since run whole" in words
+    assert set(batches["cut-2"].values()) == {200} and "cut off at iteration 200 of 300" in words
+    names = {line.split()[0] for line in (HERE / "jobs.txt").read_text().splitlines()}
+    lacking = {name for name in names if name not in gpu}
+    assert lacking == {*batches["cut-2"], *(x for x in names if x.startswith("exact-"))}
+    assert set(batches["cut"]) <= set(gpu) and "The exact task has not run" in words
 
 
 def test_the_page_has_what_the_runs_without_anchors_had():

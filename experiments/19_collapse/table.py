@@ -39,11 +39,16 @@ def pairs(robots, jobs, beside, whole="ppo16", end=300) -> list[Pair]:
 
 
 ONE = "raw", "unscaled", "raw-unscaled", "cold", "unmasked", "bootstrap-real", "unanchored"
+COLD = "cold-ramp", "cold-epochs"  # came when `cold` had been seen: a table of their own
 DOSES = {4: 20, 8: 16, 12: 12, 16: 8}  # a tail's rows, and the real ones of 24
 TABLES = {
     "One thing otherwise, beside `tail` (the exact task: PPO-16)": [
         *pairs("gc", ONE, "tail"),
         *pairs("gc", ["exact-tail"], "exact-ppo16", "exact-ppo16"),
+    ],
+    "New weights in each fit, beside `tail` and `cold`": [
+        *pairs("gc", COLD, "tail"),
+        *pairs("gc", COLD, "cold"),
     ],
     "Anchoring": [
         *pairs("gc", ["rebuilt"], "tail"),
