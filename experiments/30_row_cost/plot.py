@@ -42,7 +42,7 @@ def main():
     pairs = [both for both in pairs if both]
     costs = apart([table.cost(found, best) for best, _ in pairs])
     for number, (ms, (best, ppos)) in enumerate(zip(costs, pairs, strict=True), 1):
-        fast, few = table.fastest(ppos), table.sparing(ppos)
+        fast, few = table.fastest_beside(best, ppos), table.sparing(ppos)
         places[f"{LABELS.get(best.place, best.place)}, {best.batch.partition(',')[0]}"] = number
         pair(seconds, ms, best.level[:, 2], fast.level[:, 2], number)
         pair(steps, ms, table.steps(best) / 1e6, table.steps(few) / 1e6, number)
@@ -57,7 +57,9 @@ def main():
     seconds.set_ylim(0.25, 300)
     steps.set_ylim(0.1, None)
     drawn = [
-        run for best, ppos in pairs for run in (best, table.fastest(ppos), table.sparing(ppos))
+        run
+        for best, ppos in pairs
+        for run in (best, table.fastest_beside(best, ppos), table.sparing(ppos))
     ]
     legend(page, places, any(len(run.level) < table.OFTEN for run in drawn))
     pictures.save(page, Path(__file__).with_name("row_cost"))

@@ -315,6 +315,13 @@ def fastest(some: list[Run]) -> Run:
     return min(many or some, key=lambda run: run.level[:, 2].mean())
 
 
+def fastest_beside(best: Run, ppos: list[Run]) -> Run:
+    """PPO's fastest setting of those that ran on the host of `best` with as many seeds as an interval needs,
+    all of which get there; of all of them where there is none."""
+    own = [ppo for ppo in ppos if ppo.batch == best.batch and len(ppo.level) >= OFTEN]
+    return fastest([ppo for ppo in own if there(ppo) == 1] or ppos)
+
+
 def sparing(some: list[Run]) -> Run:
     """With the fewest simulator steps in the mean, of those with two seeds or more, if there are any."""
     several = [run for run in some if len(run.level) > 1]
@@ -383,7 +390,7 @@ def compared(found: list[Run]) -> str:
         if not (pair := settings(found, place)):
             continue
         best, ppos = pair
-        fast, few, ms = fastest(ppos), sparing(ppos), cost(found, best)
+        fast, few, ms = fastest_beside(best, ppos), sparing(ppos), cost(found, best)
         times = [run.level[:, 2] for run in (fast, best)]
         more = "at least " * (there(few) < 1) + ratio(steps(few), steps(best))
         quick = fastest(variants(found, best))
