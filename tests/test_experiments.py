@@ -1828,7 +1828,7 @@ def test_the_table_of_ppos_grid_is_that_of_its_runs():
     """Every setting of ppo_grid.txt is a cell of each robot; the best of each ran on fresh seeds."""
     choose, (table, _) = script("21_less/choose"), less("ppo")
     jobs = table.read(LESS / "results/ppo.csv.xz", "5")
-    part = (LESS / "ppo.md").read_text().split("## The grid\n")[1]
+    part = (LESS / "ppo.md").read_text().split("## The grid\n")[1].split("\n## ")[0]
     rows = [cells(line) for line in part.splitlines() if line.startswith("| ")]
     assert rows[0] == ["PPO", *LETTERS]
     names = (
@@ -1890,17 +1890,6 @@ def test_the_table_of_ppos_grid_is_that_of_its_runs():
     text = "after {:.2f} (one never), {:.2f}, {:.2f} (one never) and {:.2f} M (five never)"
     assert text.format(*(np.nanmean(x.walks) / 1e6 for x in fresh)) in words
     assert [int(np.isnan(x.walks).sum()) for x in fresh] == [1, 0, 1, 5]
-    _, others = less("ppo")
-    thirty = {
-        n: reached_of(others[f"{n}-g"], 30) / 1e6
-        for n in ("deploy-256", "deploy-512", "deploy-1024")
-    }
-    text = "30 comes after {:.2f} M (one of three never), {:.2f} and {:.2f}."
-    assert text.format(*(np.nanmean(x) for x in thirty.values())) in words
-    assert [int(np.isnan(x).sum()) for x in thirty.values()] == [1, 0, 0]
-    exact = [reached_of(others[f"exact-{n}-g"], 38) / 1e6 for n in (256, 512)]
-    text = "are at 38 after {:.2f} M ({:.2f}), and two of three walk, after 3.26; 512 need {:.2f} ({:.2f})"
-    assert text.format(*(f(x) for x in exact for f in (np.mean, np.max))) in words
     sooner = stats.difference(ours_of("ppo-walk-h").walks / 1e6, fresh[1].walks / 1e6)
     assert "by {:.2f} M ({:.2f} to {:.2f}, uncorrected)".format(*sooner) in words
     ours = [ours_of(f"ppo-walk-{x}") for x in "ghcd"]
@@ -1927,6 +1916,143 @@ def test_the_table_of_ppos_grid_is_that_of_its_runs():
         "47 settings in 493 runs" in " ".join((LESS / "README.md").read_text().split())
         and sum(counts) == 493
     )
+
+
+def test_the_table_of_ppo_on_hardware_and_the_exact_task_is_that_of_its_runs():
+    """Every job of ppo_others.txt to its end; beside `best` of the exact task, and today's `deploy`."""
+    choose, (table, jobs) = script("21_less/choose"), less("ppo")
+    asked = paper.jobs(LESS / "ppo_others.txt")
+    robot_of = {letter: robot for robot, letter in LETTERS.items()}
+    part = (LESS / "ppo.md").read_text().split("## Hardware and the exact task\n")[1]
+    shown = [
+        cells(line) for line in part.splitlines() if line.startswith(("| exact", "| `deploy`"))
+    ]
+    assert len(shown) == len(asked) == 10
+    for name, line in asked.items():
+        job, (task, robots, letter) = jobs[name], name.split("-")
+        assert job[0]["job"] == line and {row["batch"] for row in job} == {
+            "7" if letter == "c" else "6"
+        }
+        assert job[-1]["iteration"] == float(re.search(r"num_iterations=(\d+)", line)[1])
+        row = cells(table.table({name: job}, table.best(job)).splitlines()[-1])
+        label = f"{task if task == 'exact' else '`deploy`'}, {robot_of[letter]}, {robots} robots"
+        assert [label, *row[5:8], row[3], row[2], *row[9:11]] in shown, name
+    words = " ".join(part.split())
+    # the exact task
+    costs = script(f"{ROW_COST}/table")
+    mine = {
+        one.place: one
+        for one in costs.runs()
+        if one[1:3] == ("H200, 2026-11-28", "best") and one.place.endswith("exact")
+    }
+    go1, anymal = mine["go1.exact"], mine["anymal_c.exact"]
+    more = []
+    for best, name, level in ((go1, "exact-256-g", 38), (anymal, "exact-256-c", 24)):
+        more.append(stats.ratio(reached_of(jobs[name], level), best.level[:, 1]))
+        assert choose.cost(jobs[name], "level") < choose.cost(
+            jobs[name.replace("256", "512")], "level"
+        )
+    text = "{:.1f} times the steps of `best` on a Go1 ({:.1f} to {:.1f}) and {:.1f} times on an ANYmal-C"
+    assert f"{text} ({{:.1f}} to {{:.1f}})".format(*more[0], *more[1]) in words
+    steps = [one.level[:, 1].mean() / 1e6 for one in (go1, anymal)]
+    assert "which need {:.2f} and {:.2f} M".format(*steps) in words
+    other = " ".join((EXPERIMENTS / ROW_COST / "README.md").read_text().split())
+    text = (
+        "three tuning seeds, {:.1f} ({:.1f} to {:.1f}) and {:.1f} times ({:.1f} to {:.1f}) those of"
+    )
+    assert text.format(*more[0], *more[1]) in other
+    fewest = [reached_of(jobs[f"exact-256-{x}"], y).mean() / 1e6 for x, y in (("g", 38), ("c", 24))]
+    assert "it needs [{:.2f} and {:.2f} M".format(*fewest) in other
+    for letter, robots in (("g", "256"), ("c", "512")):  # that the rule takes
+        cost = {n: choose.cost(jobs[f"exact-{n}-{letter}"]) for n in ("256", "512")}
+        assert min(cost, key=cost.get) == robots
+    walked = table.reached(table.seeds(jobs["exact-512-c"]), 24).walks
+    text = "after {:.1f} times the steps of `best` ({:.1f} to {:.1f})"
+    assert text.format(*stats.ratio(walked, anymal.walks[:, 1])) in words
+    assert np.isfinite(go1.walks[:, 1]).sum() == 2 and f"{go1.end / 1e6:.1f}" == "2.7"
+    # hardware
+    today = table.read(DEPLOY / "deploy.csv.xz", "4")
+    again = table.read(DEPLOY / "tuning.csv.xz", "solver")["solver10-c"]
+    then = table.read(DEPLOY / "deploy.csv.xz", "1")
+
+    def on_a_line(job, level):
+        found = []
+        for rows in table.seeds(job):
+            steps, returns = (
+                [row[name] / scale for row in rows]
+                for name, scale in (("sim_steps", 1e6), ("return", 1))
+            )
+            k = next(i for i, value in enumerate(returns) if value >= level)
+            found.append(np.interp(level, returns[k - 1 : k + 1], steps[k - 1 : k + 1]))
+        return np.mean(found)
+
+    go1, anymal = today["go1-bundled"], today["anymal_c-bundled"]
+    ends = sorted({row["sim_steps"] / 1e6 for row in anymal})
+    assert "after {:.1f}, {:.1f}, {:.1f} and {:.1f} M steps".format(*ends[:4]) in words
+    for job, level in ((go1, 30), (anymal, 15)):  # all between the first two evaluations
+        assert {*(reached_of(job, level) / 1e6)} == {ends[1]}
+    early = on_a_line(go1, 30), on_a_line(anymal, 15)
+    assert "after {:.1f} and {:.1f}. PPO".format(*early) in words
+    firsts = {}
+    for name in asked:
+        top = 30 if name.endswith("g") else 15
+        firsts[name] = reached_of(jobs[name], top) / 1e6
+    ppo = [np.nanmean(firsts[name]) for name in ("deploy-256-g", "deploy-512-c")]
+    text = "PPO is there after {:.1f} with 256 robots (two of three) and {:.1f} with 512."
+    assert text.format(*ppo) in words
+    saved = [1 - one / its for one, its in zip(early, ppo, strict=True)]
+    assert saved == pytest.approx([1 / 3, 2 / 5], abs=0.02)  # "a third and two fifths"
+    twenty = reached_of(anymal, 20) / 1e6
+    text = "is at 20 after {:.1f} M steps ({:.1f} to {:.1f}; {:.1f} by that line)"
+    assert text.format(twenty.mean(), twenty.min(), twenty.max(), on_a_line(anymal, 20)) in words
+    its = np.concatenate([reached_of(jobs[f"deploy-{n}-c"], 20) for n in (256, 512, 1024)]) / 1e6
+    assert np.isfinite(its).sum() == 3
+    assert f"three of nine runs, after {np.nanmin(its):.1f} to {np.nanmax(its):.1f}." in words
+    gaps = {}
+    for name in [name for name in asked if name.startswith("deploy")]:
+        end = jobs[name][-1]["sim_steps"]
+        pair = [
+            table.between(job, end, "return")
+            for job in (jobs[name], go1 if name[-1] == "g" else anymal)
+        ]
+        gaps[name] = (end / 1e6, *(x.mean() for x in pair), *stats.difference(*pair))
+        assert name.endswith("c") or gaps[name][-2] < 0 < gaps[name][-1]
+    text = "512 robots after {:.1f} M steps {:.1f}, `deploy` {:.1f} by that line,"
+    text += " {:.2f} less ({:.2f} to {:.2f})"
+    assert text.format(*gaps["deploy-512-c"]) in words
+    text = "1024 after {:.1f} M {:.1f} and {:.1f}, {:.2f} less ({:.2f} to {:.2f})"
+    assert text.format(*gaps["deploy-1024-c"]) in words
+    text = "is at 35 after {:.1f} M ({:.1f} by that line), PPO with 256 robots in two runs of three after"
+    text += " {:.1f};"
+    its = reached_of(jobs["deploy-256-g"], 35) / 1e6
+    numbers = (reached_of(go1, 35) / 1e6).mean(), on_a_line(go1, 35), np.nanmean(its)
+    assert text.format(*numbers) in words and np.isnan(its).sum() == 1
+    text = "are at 15 after {:.1f} M and at 20 after {:.1f}, by that line"
+    assert text.format(on_a_line(again, 15), on_a_line(again, 20)) in words
+    old = reached_of(then["go1"], 30).mean() / 1e6, reached_of(then["anymal_c"], 20).mean() / 1e6
+    assert "was at 30 after {:.1f} M, and an ANYmal-C at 20 after {:.1f}.".format(*old) in words
+    config = config_lib.validate(config_lib.load("anymal_c:deploy"))
+    thousand = config.rollout.num_envs * config.rollout.horizon / 1e3
+    assert f"From iteration {config.schedule.last_iteration} on `deploy` has no tail" in words
+    assert f"{thousand:.0f} thousand steps an iteration" in words
+    assert config.ppo.late_kl == 1.0  # so no run of PPO halves its KL there
+    ended = [
+        np.mean([run[-1]["return"] for run in table.seeds(job)])
+        for job in (anymal, then["anymal_c"])
+    ]
+    assert f"ends at {ended[0]:.1f} after {ends[-1]:.1f} M" in words
+    assert f"ended at {ended[1]:.1f}" in words
+    # the same on the page of hardware
+    page = " ".join((DEPLOY / "README.md").read_text().split())
+    text = "after {:.1f} read off a line, PPO with 256 robots after {:.1f} (two of three seeds"
+    assert text.format(early[0], ppo[0]) in page
+    assert f"ANYmal-C reaches 15 after {early[1]:.1f}, PPO with 512 after {ppo[1]:.1f}." in page
+    assert f"to 20 an ANYmal-C takes {twenty.mean():.0f} M steps, PPO 14 to 19 in three" in page
+    many = [np.nanmean(firsts[f"deploy-{n}-{x}"]) for x in "gc" for n in (256, 512, 1024)]
+    text = "256 robots reach 30 after {:.1f} M steps, 512 after {:.1f}, 1024 after {:.1f}, in the mean of the"
+    text += " seeds that get there. On an ANYmal-C they reach 15 after {:.1f} (one of three never), {:.1f}"
+    text += " and {:.1f}"
+    assert text.format(*many) in page
 
 
 def test_a_run_that_was_stopped_goes_on_from_its_last_evaluation(tmp_path, monkeypatch):
@@ -2043,8 +2169,14 @@ def test_the_times_of_table_i_are_those_of_the_page():
     theirs = {(row["envs"], row["horizon"]): row["time_min"] for row in paper.table("ablation")}
     faster = [60 * theirs[cell] / ours[cell] for cell in ours]
     assert f"{min(faster):.0f} to {max(faster):.0f} times as fast" in words
-    more = [of[8192, 16] / of[1024, 16] for of in (ours, theirs)]
-    assert "it takes {:.1f} times as long, in the paper {:.1f} times".format(*more) in words
+    few, many = ([of[8192, 16] / of[count, 16] for of in (ours, theirs)] for count in (512, 1024))
+    text = "it takes {:.1f} times as long, in the paper {:.1f} times; from 512 it is {:.1f} and {:.1f} times"
+    assert text.format(*many, *few) in words
+    first = [row for row in rows if row["commit"].startswith("71c94de1")]
+    others = {(row["envs"], row["horizon"]) for row in rows if row not in first}
+    assert others == {(512, 12), (512, 16), (512, 20), (1024, 28), (1024, 32)}
+    last = script("10_ablation/times").table(first).rpartition(": ")[2]
+    assert f"Without them the correlation is {last}." in words
 
 
 def test_jobs_of_few_robots_are_valid_and_evaluated_on_the_way_to_45_thousand_steps():
@@ -3782,8 +3914,8 @@ def test_the_steps_of_the_policies_for_hardware_are_those_of_their_runs():
         for name in ("go1", "go1-ppo")
     ]
     text = " ".join((DEPLOY / "README.md").read_text().split())
-    assert f"a return of 30 after {float(steps[0]):.1f} M" in text
-    assert f"not tuned, after {float(steps[1]):.0f} M" in text
+    text_of = "a Go1 is at 30 after {:.1f} M, PPO after {:.0f}."
+    assert text_of.format(*map(float, steps)) in text
     go2 = column({"503": packed("deploy")["1", "go2"]["503"]}, "fall_rate")[0]
     at = column({"503": packed("deploy")["1", "go2"]["503"]}, "iteration")[0]
     assert not go2[(at >= 200) & (at <= 650)].any() and round(100 * go2[-1]) == 21
