@@ -1,10 +1,10 @@
-"""Evaluated return and falls over simulator steps, Go1: peers.png, and the table of README.md.
+"""Evaluated return and falls over simulator steps, Go1: peers.png, and the tables of README.md.
 
     python experiments/24_off_policy/plot.py
 
-Left are means over five seeds (FastTD3: three) with their 95 % t interval; runs that were cut off end where
-the shortest does.
-Right are the five settings of SAC, one seed each.
+Left are means over five seeds (FastTD3: three) with their 95 % t interval, of the task of before 2026-11-25;
+runs that were cut off end where the shortest does. In the middle is the task since then: SAC with and without
+symmetric networks, three seeds, beside ten of 21_less. Right are the five settings of SAC, one seed each.
 """
 
 import importlib
@@ -26,6 +26,12 @@ RUNS = {  # name in the results -> label, colour, dashes
     "ppo-kl3-g": ("PPO, tuned (256 robots)", pictures.ORANGE, (0, (1, 1))),
     "ppo16-g": ("PPO-16, 4096 robots", pictures.BLACK, (0, (5, 1.2))),
 }
+TODAY = {  # the same, of the task since 2026-11-25
+    "best-g": ("best", pictures.BLUE, "-"),
+    "sac-symmetric": ("SAC, symmetric networks", pictures.GREEN, "-"),
+    "sac-today": ("SAC", pictures.VERMILION, (0, (3, 1.2))),
+    "ppo-level-g": ("PPO, to the level", pictures.ORANGE, (0, (1, 1))),
+}
 SETTINGS = {  # of SAC; by their gain of actions
     "a": ("a: gain 3", pictures.BLACK, "-"),
     "c": ("c: gain 2", pictures.SKY, "-"),
@@ -35,16 +41,14 @@ SETTINGS = {  # of SAC; by their gain of actions
 }
 LEVEL = walks.level(45)
 WINDOW = (2.2e6, 2.5e6)  # steps: the last that SAC has
+WINDOW_TODAY = (0.9e6, 1.25e6)  # the last that all seeds of symmetric SAC have
 
 
 def main():
     paper.parser(__doc__).parse_args()
-    results = HERE / "results"
-    jobs = less.table.read(HERE.parent / "21_less/results/fresh.csv.xz")
-    jobs |= less.table.read(results / "mbpo.csv.xz") | less.table.read(results)
-    fig, (axes, falls) = pictures.figure(2, 2, 6.4, sharex="col")
-    axes[0].set_xscale("log")
-    columns = RUNS, {f"sac_tuning_{name}": look for name, look in SETTINGS.items()}
+    jobs = read()
+    fig, (axes, falls) = pictures.figure(2, 3, 7.2, sharex="col")
+    columns = RUNS, TODAY, {f"sac_tuning_{name}": look for name, look in SETTINGS.items()}
     for above, below, looks in zip(axes, falls, columns, strict=True):
         for name, look in looks.items():
             less.curve(above, jobs[name], *look)
@@ -52,33 +56,66 @@ def main():
         above.axhline(LEVEL, color="0.4", lw=1, ls=":")
         above.set_ylim(0, 45)
         pictures.falls(below)
-        where = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.24), "ncols": 2}
-        below.legend(frameon=False, columnspacing=1.2, handlelength=2.4, **where)
+        where = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.24)}
+        below.legend(frameon=False, handlelength=2.4, **where)
     axes[0].set_ylabel("evaluated return")
     falls[0].set(xlabel="simulator steps (logarithmic)", ylabel="episodes with a fall, %")
-    axes[0].set_title("Peers, five seeds each but FastTD3", loc="left")
-    falls[1].set_xlabel("million simulator steps")
-    falls[1].xaxis.set_major_formatter(lambda steps, _: f"{steps / 1e6:g}")
-    axes[1].set_title("Settings of SAC, one seed", loc="left")
+    axes[0].set_xscale("log")
+    axes[0].set_title("Earlier task", loc="left")
+    axes[1].set_title("Today's task", loc="left")
+    axes[1].set_xlim(0, 2.1e6)
+    axes[2].set_title("Earlier task: settings of SAC", loc="left")
+    for axis in falls[1:]:
+        axis.set_xlabel("million simulator steps")
+        axis.xaxis.set_major_formatter(lambda steps, _: f"{steps / 1e6:g}")
     pictures.head(
-        fig, f"Go1. Band: {pictures.covers([3, 5])}. Dotted: the level, and 1 % falls", fontsize=9.5
+        fig,
+        f"Go1. Band: {pictures.covers([3, 5, 10])}; right one seed. Dotted: the level, and 1 % falls",
+        fontsize=9.5,
     )
     pictures.save(fig, HERE / "peers")
     print(less.table.table({name: jobs[name] for name in RUNS}, 45))
-    print(equal_steps(jobs["sac"], jobs["ppo-kl3-g"]))
+    print(equal_steps(jobs["sac"], jobs["ppo-kl3-g"], WINDOW))
+    print(less.table.table({name: jobs[name] for name in TODAY}, 45))
+    for name in ("sac-today", "ppo-level-g", "best-g"):
+        print(f"sac-symmetric and {name}: {beside(jobs['sac-symmetric'], jobs[name])}")
 
 
-def equal_steps(one, other) -> str:
-    """How much more `one` returns than `other` in `WINDOW`, a seed with the mean of its evaluations there."""
+def read() -> dict[str, list[dict]]:
+    """All jobs by name; those of sac_symmetric.csv, which has three, are "sac-today" and so on."""
+    results, fewer = HERE / "results", HERE.parent / "21_less/results"
+    jobs = less.table.read(fewer / "fresh.csv.xz") | less.table.read(fewer / "headline.csv.xz")
+    jobs |= less.table.read(results / "mbpo.csv.xz") | less.table.read(results)
+    names = {"sac": "sac-today", "crossq": "crossq-today"}
+    for row in jobs.pop("sac_symmetric"):
+        jobs.setdefault(names.get(row["name"], row["name"]), []).append(row)
+    return jobs
+
+
+def beside(one, other) -> str:
+    """Steps to 30, 35 and 38 of `one` less those of `other`, and its return less that in `WINDOW_TODAY`."""
+    parts = []
+    for level in (30, 35, LEVEL):
+        pair = [[less.table.first(run, level) for run in less.table.seeds(j)] for j in (one, other)]
+        if np.isfinite(np.concatenate(pair)).all():
+            gap = stats.difference(*(np.array(steps) / 1e6 for steps in pair))
+            text = f"{gap.value:.2f} M ({gap.low:.2f} to {gap.high:.2f})"
+            text += f", {stats.ratio(*pair).value:.2f} times"
+            parts.append(f"to {level:g} {text}, p {stats.welch_of(*pair):.2g}")
+    return "; ".join([*parts, equal_steps(one, other, WINDOW_TODAY)])
+
+
+def equal_steps(one, other, window) -> str:
+    """How much more `one` returns than `other` in a window, a seed with the mean of its evaluations there."""
     means = []
     for job in (one, other):
         runs = [
-            [r["return"] for r in run if WINDOW[0] <= r["sim_steps"] <= WINDOW[1]]
+            [r["return"] for r in run if window[0] <= r["sim_steps"] <= window[1]]
             for run in less.table.seeds(job)
         ]
         means.append([np.mean(returns) for returns in runs])
     found = stats.difference(*means)
-    text = f"{WINDOW[0] / 1e6} to {WINDOW[1] / 1e6} M steps: {found.value:.1f} "
+    text = f"{window[0] / 1e6} to {window[1] / 1e6} M steps: {found.value:.1f} "
     text += f"({found.low:.1f} to {found.high:.1f}), p {stats.welch_of(*means):.0e}; "
     return text + f"{np.mean(means[1]):.1f}"
 
