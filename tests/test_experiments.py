@@ -141,16 +141,91 @@ def test_the_tables_without_a_picture_are_those_that_are_stored(script_of, table
 
 
 def test_the_page_of_the_peers_has_the_numbers_of_its_runs(drawn, monkeypatch, capsys):
+    """Of the earlier task and of today's, where SAC with symmetric networks is beside others."""
     monkeypatch.setattr(sys, "argv", ["plot.py"])
-    script("24_off_policy").main()
+    peers = script("24_off_policy")
+    peers.main()
     page = (EXPERIMENTS / "24_off_policy/README.md").read_text().replace("*", "")
+    words = " ".join(page.split())
     printed = [line.split(" | ") for line in capsys.readouterr().out.splitlines()]
-    rows = {cells[0]: cells for cells in printed if len(cells) > 9}
-    assert drawn == ["peers"] and len(rows) == 7  # with the head
-    assert printed[-1][0] == "2.2 to 2.5 M steps: -2.4 (-2.9 to -1.9), p 1e-05; 41.4"
+    rows = {cells[0].strip("| "): cells for cells in printed if len(cells) > 9}
+    assert drawn == ["peers"] and len(rows) == 11  # with the head, which both tables have
+    said = [cells[0] for cells in printed if len(cells) == 1 and cells[0][0] != "|"]
+    assert said[0] == "2.2 to 2.5 M steps: -2.4 (-2.9 to -1.9), p 1e-05; 41.4"
     assert "(1.9 to 2.9; PPO 41.4; p 1e-5)" in page
     for name, cells in rows.items():  # walks, first at 38, with few falls; 30, 35, 40
         assert " | ".join(cells[2:5] + cells[6:9]) in page, name
+        if name in peers.TODAY:
+            assert cells[1] in "3 10" and f"| {' | '.join(cells[1:5] + cells[6:9])} | " in page
+            assert f" | {cells[10]} |" in page
+    assert said[1:] == [
+        "sac-symmetric and sac-today: to 30 -0.27 M (-0.41 to -0.12), 0.60 times, p 0.015; to 35 -0.50 M "
+        "(-0.63 to -0.37), 0.49 times, p 0.00045; 0.9 to 1.25 M steps: 3.5 (1.3 to 5.7), p 2e-02; 35.4",
+        "sac-symmetric and ppo-level-g: to 30 -0.46 M (-0.55 to -0.37), 0.47 times, p 7.8e-07; to 35 "
+        "-0.51 M (-0.64 to -0.38), 0.48 times, p 6.8e-06; to 38 -0.40 M (-0.62 to -0.18), 0.65 times, "
+        "p 0.0055; 0.9 to 1.25 M steps: 2.4 (0.8 to 4.0), p 9e-03; 36.6",
+        "sac-symmetric and best-g: to 30 0.21 M (0.19 to 0.22), 2.03 times, p 4.4e-10; to 35 0.24 M (0.12 "
+        "to 0.37), 2.07 times, p 0.01; to 38 0.47 M (0.22 to 0.72), 2.74 times, p 0.012; 0.9 to 1.25 M "
+        "steps: -2.6 (-3.1 to -2.1), p 5e-07; 41.5",
+    ]
+    for told in (
+        "to 30 in 0.60 times the steps (0.27 M fewer, 0.12 to 0.41, p 0.015) and to 35 in 0.49 times (0.50 M "
+        "fewer, 0.37 to 0.63, p 0.0004)",
+        "they return 3.5 more (1.3 to 5.7; without 35.4; p 0.02)",
+        "at 38 0.40 M steps sooner (0.18 to 0.62, p 0.006)",
+        "it returns 2.4 more (0.8 to 4.0, p 0.009)",
+        "0.47 M more, 0.22 to 0.72, p 0.01)",
+        "it returns 2.6 less (2.1 to 3.1, p 5e-7)",
+    ):
+        assert told in words
+    jobs, table = peers.read(), peers.less.table
+    runs = {name: table.seeds(jobs[name]) for name in (*peers.TODAY, "sac", "crossq-today")}
+    reached = {name: table.reached(runs[name], 38) for name in peers.TODAY}
+    level = {name: one.level for name, one in reached.items()}
+    assert np.isnan(level["sac-today"]).all() and [x[0]["seed"] for x in runs["sac-today"]] == [
+        100,
+        101,
+        102,
+    ]
+    told = "after {:.2f} M simulator steps, three seeds of three. Without them three seeds"
+    assert told.format(level["sac-symmetric"].mean() / 1e6) in words
+    told = "PPO, tuned and symmetric, needs {:.2f} M and `best` {:.2f} M, ten seeds each"
+    assert told.format(*(level[x].mean() / 1e6 for x in ("ppo-level-g", "best-g"))) in words
+    more = "{:.1f} times {}({:.1f} to {:.1f}"
+    ratio = stats.ratio(level["sac-symmetric"], level["best-g"])
+    assert more.format(ratio[0], "those of `best` ", *ratio[1:]) in words
+    assert "{:.1f} times the steps to 38 ({:.1f} to {:.1f};".format(*ratio) in words
+    told = "PPO needs {:.2f} times its steps ({:.2f} to {:.2f})"
+    assert told.format(*stats.ratio(level["ppo-level-g"], level["sac-symmetric"])) in words
+    pair = [reached[name].careful / 1e6 for name in ("sac-symmetric", "best-g")]
+    gap, low, high = stats.difference(*pair)
+    assert f"{pair[1].mean():.2f} M with `best`, {pair[0].mean():.2f} with SAC" in words and gap > 0
+    assert f"({-low:.2f} M fewer to {high:.2f} more, p {stats.welch_of(*pair):.2f})" in words
+    best = [max(row["return"] for row in run) for run in runs["sac-today"]]
+    assert "of each is {:.2f}, {:.1f} and {:.1f}, so it misses".format(*best) in words
+    symmetric = runs["sac-symmetric"]
+    ends = [run[-1]["sim_steps"] / 1e6 for run in symmetric]
+    assert "| {:.1f}, {:.1f}, {:.1f} |".format(*ends) in words and "off at 1.2 M" in words
+    assert f"at {symmetric[0][-1]['return']:.1f} after 2.0 M" in words
+    late = np.mean([table.between(jobs["sac-symmetric"], 1e6 * min(ends), "return")])
+    assert f"It has {late:.1f} after {min(ends):.1f} M, PPO ends higher: 41.9 after 3.7 M" in words
+    means = [
+        np.mean(
+            [
+                np.mean([r["return"] for r in run if 1.75e6 <= r["sim_steps"] <= 2.05e6])
+                for run in runs[name]
+            ]
+        )
+        for name in ("sac-today", "sac")
+    ]
+    assert "has {:.1f} there between 1.75 and 2.05 M steps, here {:.1f}".format(*means) in words
+    one = [run[0]["return"] for run in runs["crossq-today"]]
+    assert {len(run) for run in runs["crossq-today"]} == {1}
+    assert (
+        f"one evaluation, at {runs['crossq-today'][0][0]['sim_steps'] / 1e3:.0f} k: {min(one):.1f}"
+        in words
+    )
+    assert f"{min(one):.1f} to {max(one):.1f}. So how it" in words
 
 
 ROW_COST = "30_row_cost"
@@ -5042,88 +5117,178 @@ def test_the_table_of_other_methods_with_few_robots_is_that_of_its_runs():
     )
 
 
-def test_settings_of_other_methods_with_few_robots_are_as_the_page_says():
-    """Of peers_tune.csv: the table, which settings are whole, cut off or not begun, and CrossQ beside
-    `few`."""
+def settings_of_peers():
+    """peers_table.py, its settings by name, and the words of peers.md."""
     few = EXPERIMENTS / "27_few"
-    part = (few / "peers.md").read_text().split("## With settings for few robots")[1]
-    words, found = " ".join(part.split()), {}
-    with (few / "peers_tune.csv").open() as file:
-        for row in csv.DictReader(file):
-            run = found.setdefault(row["name"], {}).setdefault(int(row["seed"]), {})
-            run[int(row["sim_steps"])] = float(row["return"]), 100 * float(row["fall_rate"])
-    jobs = [line.split()[0] for line in (few / "peers_tune.txt").read_text().splitlines()]
-    assert found.keys() - {"crossq-u512"} < set(jobs) and (len(jobs), len(found)) == (23, 5)
-    assert (
-        "had 21 settings" in words
-        and "It has 23 now" in words
-        and "the other 16 have not run" in words
-    )
-    rows = {
-        re.search(r"\(`(.+)`\)", x)[1]: cells(x)
-        for x in part.splitlines()
-        if "(`" in x and x[0] == "|"
+    table = script("27_few/peers_table")
+    found = table.settings(few / "peers_tune.csv", few / "peers_tune.txt")
+    return table, found, (few / "peers.md").read_text()
+
+
+def test_the_table_of_settings_of_other_methods_is_the_printed_one(monkeypatch, capsys):
+    """And what is whole, cut off or not begun, and the best so far by the rule."""
+    table, found, page = settings_of_peers()
+    monkeypatch.setattr(sys, "argv", ["peers_table.py"])
+    table.main()
+    out = capsys.readouterr().out.splitlines()
+    lines, said = ([x for x in out if (x[0] == "|") == is_table] for is_table in (True, False))
+    part = page.split("## With settings for few robots")[1]
+    assert lines == [x for x in part.splitlines() if x[0:1] == "|"] and len(lines) == 2 + len(found)
+    assert said[0] == "CrossQ so far: crossq-gamma97, 118.4 k; at the end 39.5"
+    assert said[2] == "SAC so far: sac-u16, 409.6 k; at the end 20.0"
+    words = " ".join(part.split())
+    assert "`crossq-gamma97` is first so far, and of SAC `sac-u16`" in words
+    jobs = paper.jobs(EXPERIMENTS / "27_few/peers_tune.txt")
+    assert found.keys() - jobs.keys() == {"crossq-u512"} and len(jobs) == 23
+    ends = {
+        name: {run[-1]["sim_steps"] for run in found[name].seeds} for name in found.keys() & jobs
     }
-    heads = [13e3, 26e3, 38e3, 51e3, 102e3]
-    assert [f"{at / 1e3:.0f} k" for at in heads] == [
-        x.removesuffix(" steps")
-        for x in cells(next(x for x in part.splitlines() if x[0:1] == "|"))[2:-1]
-    ]
-    assert rows.keys() == found.keys()
-    for name, runs in found.items():
-        _, seeds, *told, end = rows[name]
-        assert sorted(runs) == [*range(int(seeds))]
-        steps = sorted(set.intersection(*(set(run) for run in runs.values())))
-        assert {max(run) for run in runs.values()} == {steps[-1]}
-        assert ("cut off" in end) == (steps[-1] < 204_800), name
-        at, _, last = end.removesuffix("; cut off").partition(": ")
-        for where, cell in [*zip(heads, told, strict=True), (float(at.split()[0]) * 1e3, last)]:
-            near = min(steps, key=lambda x: abs(x - where))
-            close = abs(near - where) < 0.11 * where and (where <= steps[-1] + 500)
-            assert close == bool(cell), (name, where)
-            if cell:
-                assert shows(cell, *np.mean([run[near] for run in runs.values()], 0)), (name, where)
-    runs = found["crossq"].values()
-    ends = [[run[at] for at in sorted(run)][-4:] for run in runs]
-    assert [max(run) for run in runs] == [121_600] * 2
-    assert all(return_ < 38 for run in runs for return_, _ in run.values())
-    assert "two seeds end at {:.1f} and {:.1f}, in".format(*(run[-1][0] for run in ends)) in words
-    assert [run[-1][1] for run in ends] == [
-        0,
-        0,
-    ] and "in the last evaluation without a fall" in words
-    falls = [np.mean([x[1] for x in run]) for run in ends]
-    assert shows(re.search(r"in the last four with (.+?) %", words)[1], *falls)
+    assert {len(one.seeds) for name, one in found.items() if name in jobs} == {2}
+    whole = [name for name, end in ends.items() if end == {table.asked(jobs[name])}]
+    new = [name for name in jobs if name not in found]
+    counts = ["", *"one two three four five six seven eight nine ten".split()]
+    told = f"{counts[len(whole)].title()} are whole, {counts[len(ends) - len(whole)]} were cut off by the "
+    told += f"end of a call, and {counts[len(new)]} have not begun: "
+    told += ", ".join(f"`{name}`" for name in new[:-1]) + f" and `{new[-1]}`."
+    assert told in words
+    assert f"# {len(jobs)} settings, {len(new)} not begun" in page
+    first = [x for line in (said[1], said[3]) for x in line.partition(": ")[2].split(", ")]
+    assert {*first} == {*new, "crossq-u256", "crossq-w2048", "sac-u256"}
+    assert (
+        "below the level before nine tenths of their steps: `crossq-u256`, `crossq-w2048` and"
+        in words
+    )
+
+
+def test_the_rule_of_the_choice_among_settings_of_other_methods():
+    """A seed that never gets there counts with twice all steps; a setting that was cut off does not count;
+    of equals the higher return decides."""
+    table = settings_of_peers()[0]
+
+    def run(seed, *returns, last=204_800.0):
+        steps = np.linspace(0, last, len(returns) + 1)[1:]
+        rows = zip(steps, returns, strict=True)
+        return [{"seed": seed, "sim_steps": k, "return": r, "fall_rate": 0.5} for k, r in rows]
+
+    found = {
+        "crossq": table.setting([run(0, 20, 38), run(1, 38, 20)], 204_800),
+        "crossq-a": table.setting([run(0, 38, 20), run(1, 20, 20)], 204_800),
+        "crossq-b": table.setting([run(0, 37, 37, last=180e3)] * 2, 204_800),
+        "crossq-c": table.setting([run(0, 37, 38, last=180e3)] * 2, 204_800),
+        "sac": table.setting([run(0, 9, 9, 9)], 204_800),
+        "sac-a": table.setting([run(0, 20, 9, 8, 12, last=190e3)], 204_800),
+    }
+    assert [one.cost / 204_800 for one in found.values()][:3] == [0.75, 1.25, 2]
+    assert found["crossq-c"].cost == 180e3 and found["sac-a"].end == pytest.approx(29 / 3)
+    assert [name for name, one in found.items() if not one.counts] == ["crossq-b"]
+    jobs = dict.fromkeys([*(x for x in found if x[0] == "c"), "crossq-d"], "crossq --mirror")
+    jobs |= {"sac": "sac", "sac-a": "sac --gain 1"}
+    assert table.best(found, jobs, "crossq") == ("crossq", ["crossq-b", "crossq-d"])
+    assert table.best(found, jobs, "sac") == ("sac-a", [])
+    assert table.asked("crossq --steps 102400 --evaluations 16") == 102_400
+
+
+def test_settings_of_other_methods_with_few_robots_are_as_the_page_says():
+    """Beside `few`, beside each other by Welch's test, an earlier run of one, and what SAC forgets."""
+    table, found, page = settings_of_peers()
+    words = " ".join(page.split())
+    level = {x: one.level for x, one in found.items() if np.isfinite(one.level).all()}
+    early = {x: np.array([table.runs.first(r, 30) for r in one.seeds]) for x, one in found.items()}
+
+    def at(name, steps):
+        return [r["return"] for run in found[name].seeds for r in run if r["sim_steps"] == steps]
+
     first, tuned = few_of("feet", "fresh-g")[1].level, few_of("parts-cut", "part-whole-g")[1].level
-    told = f"after {first.mean() / 1e3:.1f} k (ten fresh seeds; the tuning seeds 0 to 4:"
-    told += f" {tuned.mean() / 1e3:.1f})"
-    assert told in words and "more than nine times its steps" in words
-    assert 10 > 121_600 / first.mean() > 121_600 / tuned.mean() > 9
-    to_30 = [min(at for at, one in run.items() if one[0] >= 30) / 1e3 for run in runs]
-    few_to_30 = [
-        next(r["sim_steps"] for r in run if r["return"] >= 30) / 1e3
+    needs = sorted((one.mean(), name) for name, one in level.items())
+    order = "crossq-gamma97 crossq-u128 crossq-b1024 crossq-scale10 crossq".split()
+    assert [name for _, name in needs] == order
+    told = "in five settings, after {:.0f} to {:.0f} thousand simulator steps. `few` is there after {:.1f}"
+    assert told.format(needs[0][0] / 1e3, needs[-1][0] / 1e3, first.mean() / 1e3) in words
+    times = [mean / first.mean() for mean, _ in needs]
+    assert f"needs {times[0]:.0f} to {times[-1]:.0f} times its steps" in words
+    best = level["crossq-gamma97"]
+    told = f"needs {best.mean() / 1e3:.1f} k steps, {best.mean() / 3000:.0f} robot-minutes"
+    assert told in words
+    told = "That is {:.1f} times the {:.1f} k of `few` (ten fresh seeds, 1000 episodes an evaluation; the "
+    told += "tuning seeds 0 to 4: {:.1f}, {:.1f} times)"
+    both = first.mean() / 1e3, tuned.mean() / 1e3
+    text = told.format(times[0] - 0.001, *both, best.mean() / tuned.mean())  # 9.25
+    assert text in words
+    told = "others need {:.1f}, {:.1f}, {:.1f} and {:.1f} times as many"
+    shown = re.search(r"others need (.+?) times as many", words)[1]
+    assert shows(shown, *times[1:])
+    assert "need {:.1f} and {:.1f} k, so two say".format(*sorted(best / 1e3)) in words
+    ends = [
+        end / first.mean() for end in (min(map(min, level.values())), max(map(max, level.values())))
+    ]
+    assert "need {:.1f} to {:.0f} times the steps of `few`".format(*ends) in words
+    last = [run[-1]["return"] for run in found["crossq-gamma97"].seeds]
+    assert shows(
+        re.search(r"At its end\*\* gamma 0.97 has (.+?)\. `few`", words)[1].replace(
+            "gamma 0.97", ""
+        ),
+        *last,
+    )
+    text = re.search(r"to a return of 30 more updates .+? of these is shown", words)[0]
+    few_30 = [
+        next(r["sim_steps"] for r in run if r["return"] >= 30)
         for run in few_of("feet", "fresh-g")[0]
     ]
-    told = "To a return of 30 it needs {:.1f} and {:.1f} k, `few` {:.1f} k;"
-    assert told.format(*to_30, np.mean(few_to_30)) in words
-    at_32 = [
-        np.mean([run[32_000][0] for run in found[x].values()]) for x in ("crossq-u256", "crossq")
+    to_30 = [
+        early[x].mean() / 1e3 for x in ("crossq-u128", "crossq-w2048", "crossq-scale10", "crossq")
     ]
-    assert "with 256 it has {:.1f} after 32 k, with 64 {:.1f}".format(*at_32) in words
-    ends = [run[204_800][0] for name in ("sac-u16", "sac-b512") for run in found[name].values()]
+    assert early["crossq-b1024"].mean() == early["crossq-u128"].mean()
+    assert early["crossq-gamma97"].mean() == early["crossq-w2048"].mean()
+    told = "bigger batches need {:.1f} k, wider critics and gamma 0.97 {:.1f}, rewards x 10 {:.1f}, the "
+    told += "setting that all start from {:.1f} (`few` {:.1f})"
+    assert told.format(*to_30, np.mean(few_30) / 1e3) in text
+    better = "u128 b1024 w2048 gamma97 scale10".split()
+    p30 = [stats.welch_of(early[f"crossq-{x}"], early["crossq"]) for x in better]
+    p38 = [stats.welch_of(level[x], level["crossq"]) for x in order[:-1]]
+    spans = min(p30), max(p30), min(p38), max(p38)
+    assert "p {:.2f} to {:.2f}, to 38 {:.2f} to {:.2f}, uncorrected".format(*spans) in words
+    at_102 = {x: np.mean(at(x, 102_400)) for x in found if len(at(x, 102_400)) == 2}
+    told = "off at {:.1f} after 102 k, more than any other there; gamma 0.97 has {:.1f}"
+    assert told.format(at_102["crossq-w2048"], at_102["crossq-gamma97"]) in words
+    assert max(at_102, key=at_102.get) == "crossq-w2048"
+    pair = at("crossq", 192_000), at("crossq-gain05", 192_000)
+    told = f"stays at {np.mean(pair[1]):.1f} (after 192 k {np.subtract(*map(np.mean, pair)):.1f} less, p "
+    assert told + f"{stats.welch_of(*pair):.4f})" in words
+    rates = [r["fall_rate"] for run in found["crossq-gain05"].seeds for r in run]
+    assert (
+        np.median(rates) == 0 and np.mean(rates) < 0.01 and "CrossQ seldom falls and stays" in words
+    )
+    pair = at("crossq-w512", 204_800), at("crossq", 204_800)
     told = (
-        "`sac-u16` are at {:.1f} and {:.1f} after 205 k, those of `sac-b512` at {:.1f} and {:.1f}"
+        "ends at {:.1f}, with 1024 at {:.1f}, which is not shown to differ (p {:.2f}, uncorrected)"
     )
-    assert told.format(*ends) in words
-    text = " ".join((few / "README.md").read_text().split())
-    wide = [np.mean([run[at][0] for run in runs]) for at in (51_200, 121_600)]
-    told = "has {:.0f} there. After 122,000, where its runs were cut off, it has {:.0f}, in more than nine"
-    assert told.format(*wide) in text
-    told = "with wide critics {:.0f} after 122 k), SAC (2; in other settings {:.0f} and {:.0f} after 205 k)"
-    assert told.format(wide[1], np.mean(ends[:2]), np.mean(ends[2:])) in text
-    assert f"CrossQ with wide critics is at {wide[1]:.0f} after 122" in " ".join(
-        (few / "peers.md").read_text().split()
+    assert told.format(*map(np.mean, pair), stats.welch_of(*pair)) in words
+    assert all(
+        max(run[-1]["sim_steps"] for run in found[x].seeds) < 103e3
+        for x in ("crossq-w2048", "crossq-u256", "crossq-u512")
     )
+    with (EXPERIMENTS / "27_few/peers_tune_cut.csv").open() as file:
+        rows = [(float(row["sim_steps"]), float(row["return"])) for row in csv.DictReader(file)]
+    before = [np.mean([r for k, r in rows if k == steps]) for steps in (51_200, 121_600)]
+    after = [np.mean(at("crossq", steps)) for steps in (51_200, 121_600)]
+    assert max(rows)[0] == 121_600
+    told = "had {:.1f} after 51 k, then {:.1f}; after 122 k {:.1f}, then {:.1f}."
+    assert told.format(before[0], after[0], before[1], after[1]) in words
+    sac = {name: one for name, one in found.items() if name[:3] == "sac"}
+    assert len(sac) == 5 and not any(np.isfinite(early[name]).any() for name in sac)
+    for rows in (rows for one in sac.values() for rows in one.seeds):
+        assert min(r["return"] for r in rows if 26e3 <= r["sim_steps"] <= 51.2e3) < 5
+    at_13 = {name: np.mean([run[1]["return"] for run in one.seeds]) for name, one in sac.items()}
+    assert at_13.pop("sac-u256") < 0 and min(at_13.values()) > 8
+    ends = {name: [run[-1]["return"] for run in one.seeds] for name, one in sac.items()}
+    means = {name: np.mean(end) for name, end in ends.items()}
+    assert (
+        f"to {min(means.values()):.1f} to {max(means.values()):.1f} (means of two seeds)" in words
+    )
+    assert f"it ends at {min(means.values()):.0f} to {max(means.values()):.0f}." in words
+    assert max(means, key=means.get) == "sac-u16"
+    least = min(stats.welch_of(*pair) for pair in itertools.combinations(ends.values(), 2))
+    assert f"(p {least:.2f} and more)" in words
 
 
 def test_peers_have_the_task_of_a_config():
