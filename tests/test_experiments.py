@@ -219,6 +219,22 @@ def test_the_page_of_the_peers_has_the_numbers_of_its_runs(drawn, monkeypatch, c
         for name in ("sac-today", "sac")
     ]
     assert "has {:.1f} there between 1.75 and 2.05 M steps, here {:.1f}".format(*means) in words
+    end = max(run[-1]["sim_steps"] for run in runs["sac-today"]) / 1e6
+    assert f"are not there by {end:.1f} M" in words and f"100 to 102, {end:.1f} M steps" in words
+    assert [run[0]["seed"] for run in runs["sac-symmetric"]] == [100, 101, 102]
+    window = "between {:g} and {:g} M".format(*(x / 1e6 for x in peers.WINDOW_TODAY))
+    assert words.lower().count(window.lower()) == 3
+    gaps = [
+        (runs[x][0][5]["sim_steps"] - runs[x][0][4]["sim_steps"]) / 1e6
+        for x in ("sac-today", "ppo-level-g", "best-g")
+    ]
+    told = "an evaluation every {:.1f} M steps (PPO every {:.2f}, `best` every {:.2f})"
+    assert told.format(*gaps) in words
+    assert (
+        "rollout.num_envs=128 " in jobs["ppo-level-g"][0]["job"] and "robot, 128 robots," in words
+    )
+    late = rows["ppo-level-g"][10].split()[0], rows["ppo-level-g"][9]
+    assert words.count("{} after {} M".format(*late)) == 2
     one = [run[0]["return"] for run in runs["crossq-today"]]
     assert {len(run) for run in runs["crossq-today"]} == {1}
     assert (
@@ -5152,6 +5168,24 @@ def test_the_table_of_settings_of_other_methods_is_the_printed_one(monkeypatch, 
     told += ", ".join(f"`{name}`" for name in new[:-1]) + f" and `{new[-1]}`."
     assert told in words
     assert f"# {len(jobs)} settings, {len(new)} not begun" in page
+    told = (
+        "`peers_tune.txt` has {} settings of CrossQ and SAC for 64 robots, each to {:.0f} k steps "
+    )
+    told = told.format(len(jobs), table.STEPS / 1e3)
+    told += f"(`crossq-u256` to {table.asked(jobs['crossq-u256']) / 1e3:.0f} k), on tuning seeds 0 and 1."
+    assert told in words and {table.asked(job) for job in jobs.values()} == {204_800, 102_400}
+    assert {run[0]["seed"] for one in found.values() for run in one.seeds} == {0, 1}
+    assert f"counts with twice the {table.STEPS / 1e3:.0f} k steps" in words
+    assert f"not there by {table.STEPS / 1e3:.0f} thousand" in " ".join(page.split())
+    assert "then runs on seeds 100 to 102" in words and "runs on seeds 100 to 102" in table.__doc__
+    given = (
+        "64 updates a step with batches of 256, half of them mirrored, critics 1024 wide as its "
+    )
+    assert f"CrossQ has {given}authors', gamma 0.98 and a gain of 1.5," in words
+    assert jobs["crossq"] == "crossq --updates 64 --batch 256 --mirror"
+    source = (EXPERIMENTS / "24_off_policy/crossq.py").read_text()
+    for flag in (("width", "int", 1024), ("gamma", "float", 0.98), ("gain", "float", 1.5)):
+        assert 'add_argument("--{}", type={}, default={}'.format(*flag) in source
     first = [x for line in (said[1], said[3]) for x in line.partition(": ")[2].split(", ")]
     assert {*first} == {*new, "crossq-u256", "crossq-w2048", "sac-u256"}
     assert (
@@ -5278,6 +5312,17 @@ def test_settings_of_other_methods_with_few_robots_are_as_the_page_says():
     assert len(sac) == 5 and not any(np.isfinite(early[name]).any() for name in sac)
     for rows in (rows for one in sac.values() for rows in one.seeds):
         assert min(r["return"] for r in rows if 26e3 <= r["sim_steps"] <= 51.2e3) < 5
+    assert "Between 26 and 51 k each seed has less than 5 in some evaluation" in words
+    assert "with 256 updates has nothing after 13 k" in words
+    few_rows = few_of("feet", "fresh-g")[0]
+    gaps = [
+        np.diff([r["sim_steps"] for r in rows]) / 1e3
+        for rows in (found["crossq"].seeds[0], few_rows[0])
+    ]
+    assert all(np.ptp(gap) == 0 for gap in gaps)
+    assert "every {:.1f} k steps, `few` every {:.1f} k".format(*(gap[0] for gap in gaps)) in words
+    ended = np.mean([rows[-1]["return"] for rows in few_rows]), few_rows[0][-1]["sim_steps"] / 1e3
+    assert "`few` is at {:.1f} after {:.0f} k.".format(*ended) in words
     at_13 = {name: np.mean([run[1]["return"] for run in one.seeds]) for name, one in sac.items()}
     assert at_13.pop("sac-u256") < 0 and min(at_13.values()) > 8
     ends = {name: [run[-1]["return"] for run in one.seeds] for name, one in sac.items()}
