@@ -4308,6 +4308,25 @@ def test_slow_commands_that_bundled_policies_follow_are_as_the_pages_say(page):
         assert text == ", ".join(followed_by(name)), name
 
 
+def test_jobs_of_fewer_steps_for_hardware_change_robots_and_tails_alone():
+    """22_deploy/fewer.txt: the task is that of `deploy`, and PPO's and the model's settings are."""
+    lines = (EXPERIMENTS / "22_deploy/fewer.txt").read_text().splitlines()
+    assert len({line.split()[0] for line in lines}) == len(lines) == 8
+    for line in lines:
+        _, job, *fields = line.split()
+        mine, asked = config_lib.load(f"configs/{job.replace(':', '.py:')}"), {}
+        other = config_lib.flat(config_lib.validate(mine.copy_and_resolve_references()))
+        mine.run.log_every = 1
+        for field in fields:
+            name, value = field.split("=", 1)
+            config_lib.override(mine, name, value)
+            asked[name] = value
+        found = config_lib.flat(config_lib.validate(mine))
+        changed = {name for name, x in found.items() if x != other[name] and name[:4] != "run."}
+        assert changed <= {"rollout.num_envs", "schedule.last_iteration"} and changed
+        assert schedule.sim_steps(mine)[-1] < 15e6  # PPO's are up to 20 M
+
+
 def test_the_bundled_policies_for_hardware_are_the_best_rows_of_their_file():
     """choose.txt has seeds of the highest returns; deploy.json names the best of them."""
     choose = script("22_deploy/choose")
@@ -5220,6 +5239,35 @@ def test_the_rule_of_the_choice_among_settings_of_other_methods():
     assert table.best(found, jobs, "crossq") == ("crossq", ["crossq-b", "crossq-d"])
     assert table.best(found, jobs, "sac") == ("sac-a", [])
     assert table.asked("crossq --steps 102400 --evaluations 16") == 102_400
+
+
+def test_the_best_settings_of_other_methods_are_chosen_with_a_folder_of_runs(tmp_path, monkeypatch):
+    """Of both methods, when all have run: what peers.py then trains on fresh seeds. A run of the folder takes
+    the place of an older one, a part of one counts, and one without rows does not."""
+    peers, jobs = script("27_few/peers"), EXPERIMENTS / "27_few/peers_tune.txt"
+    head = "job,seed,sim_steps,seconds,return,fall_rate\n"
+
+    def write(name, seed, last, back):
+        path = tmp_path / f"runs/{name}-{seed}.csv"
+        path.write_text(head + "".join(f"x,{seed},{s},1,{back},0\n" for s in (100e3, last)))
+
+    (tmp_path / "runs").mkdir()
+    with pytest.raises(SystemExit, match="crossq-u256, .* must run before the best crossq is"):
+        peers.table.chosen(tmp_path / "runs", jobs)
+    for name in paper.jobs(jobs):
+        for seed in (0, 1):
+            write(name, seed, 204_800, 30)
+    write("crossq-gain1", 1, 204_800, 39)
+    (tmp_path / "runs/crossq-gain1-1.csv").rename(tmp_path / "runs/crossq-gain1-1.csv.part")
+    write("sac-lr3e4", 0, 204_800, 38.5)
+    (tmp_path / "runs/sac-0-1.csv.part").write_text(head)
+    assert peers.table.chosen(tmp_path / "runs", jobs) == ["crossq-gain1", "sac-lr3e4"]
+    ran = []
+    monkeypatch.setattr(peers, "start", lambda to, *rest: ran.append(to.stem))
+    words = ["peers.py", str(tmp_path / "fresh"), str(jobs), "--best", str(tmp_path / "runs")]
+    monkeypatch.setattr(sys, "argv", [*words, "--seeds", "100", "101", "102"])
+    peers.main()
+    assert ran == ["crossq-gain1-100-102", *(f"sac-lr3e4-{seed}" for seed in (100, 101, 102))]
 
 
 def test_settings_of_other_methods_with_few_robots_are_as_the_page_says():

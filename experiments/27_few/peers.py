@@ -1,14 +1,16 @@
 """Other methods with 64 robots, many runs at once: settings for few robots, on tuning seeds.
 
     python experiments/27_few/peers.py OUT_FOLDER experiments/27_few/peers_tune.txt [NAME ...] [--workers 8]
-        [--seeds 0 1]
+        [--seeds 0 1] [--best FOLDER]
 
 A line is `NAME SCRIPT ARGUMENTS`, SCRIPT one of 24_off_policy, and becomes OUT_FOLDER/NAME-SEED.csv for each
 seed. crossq.py trains many seeds at once, which must follow each other: OUT_FOLDER/NAME-FIRST-LAST.csv.
 A file that is there is skipped. `--workers`: so many share the device, so their clocks say nothing. A .log
-beside a .csv has what the run said.
+beside a .csv has what the run said. `--best FOLDER`, in place of names: the best of each method, by the rule
+of peers_table.py, with what this script wrote into FOLDER.
 """
 
+import importlib
 import os
 import shlex
 import subprocess
@@ -17,6 +19,8 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from experiments import paper
+
+table = importlib.import_module("experiments.27_few.peers_table")
 
 TOGETHER = ("crossq",)  # scripts that run all seeds in one program
 SCRIPTS = Path(__file__).parent.parent / "24_off_policy"
@@ -31,10 +35,12 @@ def main():
     parser.add_argument("names", nargs="*", help="the job of that name, else those that begin so")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1])
+    parser.add_argument("--best", type=Path, metavar="FOLDER", help="choose, with its runs")
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
     jobs = paper.jobs(args.jobs)
-    chosen = paper.chosen(jobs, args.names)
+    names = table.chosen(args.best, args.jobs) if args.best else args.names
+    chosen = paper.chosen(jobs, names)
     with ThreadPoolExecutor(args.workers) as pool:
         runs = [
             (args.out / f"{name}-{seeds_of(seed, count)}.csv", jobs[name], seed, count)

@@ -14,6 +14,7 @@ method then runs on seeds 100 to 102.
 
 import csv
 import importlib
+import re
 from pathlib import Path
 from typing import NamedTuple
 
@@ -79,15 +80,38 @@ def main():
         print(f"  must run first: {', '.join(first) or 'none'}")
 
 
-def settings(path: Path, jobs: Path) -> dict[str, Setting]:
-    lines, rows = paper.jobs(jobs), {}
-    with path.open(newline="") as file:
-        for row in csv.DictReader(file):
-            kept = {key: float(row[key]) for key in ("seed", "sim_steps", "return", "fall_rate")}
-            rows.setdefault(row["name"], []).append(kept)
+def settings(path: Path, jobs: Path, folder: Path | None = None) -> dict[str, Setting]:
+    """Of a file, and of what peers.py wrote into a folder, cut off or not, in the place of older runs."""
+    lines, rows = paper.jobs(jobs), read(path)
+    later: dict[str, list] = {}
+    for one in sorted(folder.glob("*.csv*") if folder else ()):
+        name = re.sub(r"(-\d+)+\.csv(\.part)?$", "", one.name)
+        later.setdefault(name, []).extend(read(one, name)[name])
+    rows |= {name: some for name, some in later.items() if some}
     return {
         name: setting(runs.seeds(some), asked(lines.get(name, ""))) for name, some in rows.items()
     }
+
+
+def read(path: Path, name: str = "") -> dict[str, list]:
+    """Rows by name, in a file without names those of `name`."""
+    rows: dict[str, list] = {name: []} if name else {}
+    with path.open(newline="") as file:
+        for row in csv.DictReader(file):
+            kept = {key: float(row[key]) for key in ("seed", "sim_steps", "return", "fall_rate")}
+            rows.setdefault(name or row["name"], []).append(kept)
+    return rows
+
+
+def chosen(folder: Path, jobs: Path) -> list[str]:
+    """The best of each method, with the runs of a folder; SystemExit if others must run before."""
+    found, names = settings(HERE / "peers_tune.csv", jobs, folder), []
+    for method in METHODS:
+        name, first = best(found, paper.jobs(jobs), method)
+        if first:
+            raise SystemExit(f"{', '.join(first)} must run before the best {method} is chosen")
+        names.append(name)
+    return names
 
 
 def asked(job: str) -> int:
