@@ -3373,6 +3373,31 @@ def steps_and_falls(table, name, job):
     return cells(steps)[2:], cells(table.falls({name: job}).splitlines()[2])[1:]
 
 
+def test_what_an_average_of_the_policys_weights_is_worth_is_as_the_page_says():
+    words = " ".join((LESS / "falls.md").read_text().split())
+    with (LESS / "results/averaged.csv").open(newline="") as file:
+        rows = {
+            (row["seed"], int(row["sim_steps"]), row["kept"]): row for row in csv.DictReader(file)
+        }
+    ends = [max(steps for seed, steps, _ in rows if seed == one) / 1e6 for one in "01"]
+    assert "after {:.2f} and {:.2f} M steps".format(*ends) in words
+    less = [
+        float(rows[seed, steps, "0"]["return"]) - float(row["return"])
+        for (seed, steps, kept), row in rows.items()
+        if kept == "0.93" and 4e5 < steps < 6.6e5
+    ]
+    told = f"From 0.4 to 0.65 M the longer one returns {min(less):.1f} to {max(less):.1f} less"
+    assert told in words
+    late = {
+        kept: 100
+        * np.mean([float(x["fall_rate"]) for k, x in rows.items() if k[2] == kept and k[1] > 7e5])
+        for kept in ("0", "0.8", "0.93")
+    }
+    assert sum(k[1] > 7e5 for k in rows) == 3 * 5 and {k[0] for k in rows if k[1] > 7e5} == {"0"}
+    told = "fall in {:.1f} and {:.1f} % of the episodes, the policy itself in {:.1f}: five"
+    assert told.format(late["0.8"], late["0.93"], late["0"]) in words
+
+
 def test_what_the_page_says_of_feet_that_are_not_lifted_is_so():
     """The table, the factors of then, and what the weight costs, runs evaluated as seldom as then."""
     (table, old), page = less("low_feet"), (LESS / "task.md").read_text()
