@@ -2083,22 +2083,47 @@ def test_the_table_of_ppo_on_hardware_and_the_exact_task_is_that_of_its_runs():
     for job, level in ((go1, 30), (anymal, 15)):  # all between the first two evaluations
         assert {*(reached_of(job, level) / 1e6)} == {ends[1]}
     early = on_a_line(go1, 30), on_a_line(anymal, 15)
-    assert "after {:.1f} and {:.1f}. PPO".format(*early) in words
-    firsts = {}
+    assert "after {:.1f} and {:.1f}, and that line".format(*early) in words
+    firsts, gaps = {}, {}
     for name in asked:
         top = 30 if name.endswith("g") else 15
         firsts[name] = reached_of(jobs[name], top) / 1e6
-    ppo = [np.nanmean(firsts[name]) for name in ("deploy-256-g", "deploy-512-c")]
-    text = "PPO is there after {:.1f} with 256 robots (two of three) and {:.1f} with 512."
-    assert text.format(*ppo) in words
-    saved = [1 - one / its for one, its in zip(early, ppo, strict=True)]
-    assert saved == pytest.approx([1 / 3, 2 / 5], abs=0.02)  # "a third and two fifths"
+    for name in [name for name in asked if name.startswith("deploy")]:
+        job = go1 if name[-1] == "g" else anymal
+        for at in ends[:2]:
+            mine, its = (table.between(one, at * 1e6, "return") for one in (job, jobs[name]))
+            difference = stats.difference(mine, its), stats.welch_of(mine, its)
+            gaps[name, at] = (mine.mean(), its.mean(), *difference)
+    near = {x: [gaps[f"deploy-{n}-{x}", ends[0]] for n in (256, 512, 1024)] for x in "gc"}
+    most = {x: max(some, key=lambda one: one[1]) for x, some in near.items()}
+    assert all(one is near[x][0] for x, one in most.items())  # with 256 robots
+    text = "a Go1 of `deploy` returns {:.1f}, PPO at most {:.1f} with any of the three numbers of robots"
+    text += " ({:.1f} less, {:.1f} to {:.1f})"
+    assert text.format(*most["g"][:2], *most["g"][2]) in words
+    text = "an ANYmal-C {:.1f} and at most {:.1f} ({:.1f} less, {:.1f} to {:.1f}, p {:.3f}, uncorrected)"
+    assert text.format(*most["c"][:2], *most["c"][2], most["c"][3]) in words
+    assert all(one[2].low > 0 for some in near.values() for one in some)
+    soonest = {
+        x: min((256, 512, 1024), key=lambda n, x=x: np.nanmean(firsts[f"deploy-{n}-{x}"]))
+        for x in "gc"
+    }
+    assert {*soonest.values()} == {256}
+    ppo = [np.nanmean(firsts[f"deploy-256-{x}"]) for x in "gc"]
+    assert [np.isfinite(firsts[f"deploy-256-{x}"]).sum() for x in "gc"] == [2, 2]
+    assert "first there after {:.1f} and {:.1f} (two of three seeds".format(*ppo) in words
+    later = [gaps[f"deploy-256-{x}", ends[1]][2] for x in "gc"]
+    text = "returns {:.1f} and {:.1f} more than it, with 0 in both intervals"
+    assert text.format(*(x.value for x in later)) in words and all(
+        x.low < 0 < x.high for x in later
+    )
     twenty = reached_of(anymal, 20) / 1e6
-    text = "is at 20 after {:.1f} M steps ({:.1f} to {:.1f}; {:.1f} by that line)"
+    text = "is at 20 after {:.1f} M steps (first to last seed {:.1f} to {:.1f}, of evaluations 8 M apart;"
+    text += " {:.1f} by that line)"
     assert text.format(twenty.mean(), twenty.min(), twenty.max(), on_a_line(anymal, 20)) in words
     its = np.concatenate([reached_of(jobs[f"deploy-{n}-c"], 20) for n in (256, 512, 1024)]) / 1e6
-    assert np.isfinite(its).sum() == 3
-    assert f"three of nine runs, after {np.nanmin(its):.1f} to {np.nanmax(its):.1f}." in words
+    assert [np.isfinite(its[k : k + 3]).sum() for k in (0, 3, 6)] == [0, 1, 2]
+    text = f"1024, after {np.nanmin(its):.1f} to {np.nanmax(its):.1f}; the other six do not"
+    assert f"three of nine runs, one with 512 robots and two with {text}" in words
     gaps = {}
     for name in [name for name in asked if name.startswith("deploy")]:
         end = jobs[name][-1]["sim_steps"]
@@ -2108,11 +2133,13 @@ def test_the_table_of_ppo_on_hardware_and_the_exact_task_is_that_of_its_runs():
         ]
         gaps[name] = (end / 1e6, *(x.mean() for x in pair), *stats.difference(*pair))
         assert name.endswith("c") or gaps[name][-2] < 0 < gaps[name][-1]
-    text = "512 robots after {:.1f} M steps {:.1f}, `deploy` {:.1f} by that line,"
-    text += " {:.2f} less ({:.2f} to {:.2f})"
-    assert text.format(*gaps["deploy-512-c"]) in words
-    text = "1024 after {:.1f} M {:.1f} and {:.1f}, {:.2f} less ({:.2f} to {:.2f})"
+    text = "after {:.1f} M {:.1f}, `deploy` {:.1f} by that line, {:.2f} less ({:.2f} to {:.2f}, uncorrected)"
     assert text.format(*gaps["deploy-1024-c"]) in words
+    at, its, mine, _, low, high = gaps["deploy-512-c"]
+    assert f"no difference is shown, after {at:.1f} M {its:.1f} and {mine:.1f};" in words
+    assert low < 0 < high
+    at, its, *_ = gaps["deploy-256-c"]
+    assert f"with 256 it ends lower in the mean, after {at:.1f} M at {its:.1f}." in words
     text = "is at 35 after {:.1f} M ({:.1f} by that line), PPO with 256 robots in two runs of three after"
     text += " {:.1f};"
     its = reached_of(jobs["deploy-256-g"], 35) / 1e6
@@ -2135,10 +2162,20 @@ def test_the_table_of_ppo_on_hardware_and_the_exact_task_is_that_of_its_runs():
     assert f"ended at {ended[1]:.1f}" in words
     # the same on the page of hardware
     page = " ".join((DEPLOY / "README.md").read_text().split())
-    text = "after {:.1f} read off a line, PPO with 256 robots after {:.1f} (two of three seeds"
-    assert text.format(early[0], ppo[0]) in page
-    assert f"ANYmal-C reaches 15 after {early[1]:.1f}, PPO with 512 after {ppo[1]:.1f}." in page
-    assert f"to 20 an ANYmal-C takes {twenty.mean():.0f} M steps, PPO 14 to 19 in three" in page
+    results = " ".join((ROOT / "docs/results.md").read_text().split())
+    early = most["g"][0], most["c"][0], most["g"][1], most["c"][1]
+    text = "a Go1 returns {:.1f} and an ANYmal-C {:.1f}, with PPO at most {:.1f} and {:.1f}, with 256, 512"
+    assert text.format(*early) in page
+    text = "a Go1 returns {:.1f} and an ANYmal-C {:.1f}, with PPO alone at most {:.1f} and {:.1f}. Later"
+    assert text.format(*early) in results
+    assert (
+        "is there after {:.1f} and {:.1f} (256 robots, two of three seeds each)".format(*ppo)
+        in page
+    )
+    text = f"an ANYmal-C takes {twenty.mean():.0f} M steps to 20"
+    assert text in page and text in results
+    assert "three of nine runs take 14 to 19, and the others" in results
+    assert "are not there by their ends, at 9.2 to 19.7 M" in page
     many = [np.nanmean(firsts[f"deploy-{n}-{x}"]) for x in "gc" for n in (256, 512, 1024)]
     text = "256 robots reach 30 after {:.1f} M steps, 512 after {:.1f}, 1024 after {:.1f}, in the mean of the"
     text += " seeds that get there. On an ANYmal-C they reach 15 after {:.1f} (one of three never), {:.1f}"
