@@ -29,6 +29,8 @@ ROW_COST = "experiments/30_row_cost/README.md"
 ROUGH = "experiments/28_rough/results/fresh.csv.xz"
 FEW = "experiments/27_few/results/gpu.csv.xz"
 LAPTOP = "experiments/04_laptop/results/make_train.txt"
+SAC = "experiments/24_off_policy/results/sac_symmetric.csv"
+CROSSQ = "experiments/27_few/peers_tune.csv"
 FRESH = "2026-11-27", "e01cca1"
 COMMITS = {  # of batches of SECONDS; rows of the first do not have theirs
     "H200, 2026-11-27": "24fde7d",
@@ -99,6 +101,17 @@ STATED = {  # name -> where, and the words
     "go1 PPO first at 38": [("README.md", "needs {:.1f} million to follow")],
     "go1 few, first at 38": [("README.md", "follows commands after {:.1f} thousand steps")],
     "anymal_c few, first at 24": [("README.md", "an ANYmal-C after {:.1f} thousand")],
+    "go1 symmetric SAC first at 38": [
+        ("README.md", "treat left and right alike, needs {:.2f} million"),
+        ("docs/results.md", "treat left and right alike is at 38 after {:.2f} M steps"),
+        ("experiments/README.md", "(at 38 after {:.2f} M steps)"),
+        ("experiments/24_off_policy/README.md", "(Go1, today's task) after {:.2f} M simulator"),
+    ],
+    "go1 CrossQ with 64 robots, first at 38": [
+        ("experiments/README.md", "CrossQ is at 38 after {:.0f} k steps"),
+        ("experiments/27_few/README.md", "CrossQ is at 38 after {:.0f},000 steps"),
+        ("experiments/27_few/peers.md", "after {:.0f} to 163 thousand simulator steps"),
+    ],
     "g1 walks": [
         ("README.md", "after {:.2f} million simulator steps (ten of ten"),
         ("docs/results.md", "`best` | {:.2f} ("),
@@ -390,10 +403,26 @@ def measured():
         steps = f"{np.mean(table['reached'](table['seeds'](job), level).level) / 1e3:.6g}"
         when = "2026-11-28", "d4ea24ce"
         yield f"{robot} few, first at {level}", steps, "thousand steps", "H200", *when, FEW
+    yield from off_policy()
     yield from humanoid()
     yield from seconds()
     yield from rough()
     yield from laptop()
+
+
+def off_policy():
+    """Of other methods, as their tables count."""
+    when, soon = ("H200", "2026-11-28", "d4ea24ce"), []
+    with (ROOT / SAC).open(newline="") as file:
+        rows = [row for row in csv.DictReader(file) if row["name"] == "sac-symmetric"]
+    for seed in {row["seed"] for row in rows}:
+        there = (row for row in rows if row["seed"] == seed and float(row["return"]) >= 38)
+        soon.append(float(next(there)["sim_steps"]))
+    yield "go1 symmetric SAC first at 38", million(soon), "M steps", *when, SAC
+    peers = importlib.import_module("experiments.27_few.peers_table")
+    costs = [one.cost for one in peers.settings().values() if one.counts]
+    least, name = f"{min(costs) / 1e3:.6g}", "go1 CrossQ with 64 robots, first at 38"
+    yield name, least, "thousand steps", *when, CROSSQ
 
 
 def million(steps) -> str:

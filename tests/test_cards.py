@@ -171,9 +171,6 @@ def test_what_runs_next_names_scripts_and_jobs_that_there_are():
             shared = {x.lane for x in lines if (x.part, x.card) == (line.part, line.card)}
             assert shared == {line.lane}
     for jobs, names in asked.items():  # all but the settings that are whole already
-        few = "27_few" in jobs
-        whole = (
-            peers.settings(ROOT / "experiments/27_few/peers_tune.csv", ROOT / jobs) if few else {}
-        )
+        whole = peers.settings() if "27_few" in jobs else {}
         done = {name for name, one in whole.items() if one.counts} or {"sac"}
         assert names == set(paper.jobs(ROOT / jobs)) - done

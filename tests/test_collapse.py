@@ -487,8 +487,8 @@ def test_the_page_says_what_anymals_below_the_cliff_have(gpu):
     lucky = [x[3] for (kind, _), x in own.items() if kind != "ppo12"]  # seed 703
     assert gpu["own-ppo16-c"][300][3]["seed"] == "703"
     text = (
-        "One seed of five (703) has {:.1f} to {:.1f} with PPO-16 and with the tails;"
-        " of PPO-12 no seed has more than {:.1f}"
+        "One seed of five (703) has {:.1f} to {:.1f}: with PPO-16 on both robots, with the tails, which have"
+        " run on ANYmal-C alone, there; of PPO-12 no seed has more than {:.1f}"
     )
     low = max(max(x) for (kind, _), x in own.items() if kind == "ppo12")
     assert text.format(min(lucky), max(lucky), low) in words

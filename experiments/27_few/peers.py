@@ -24,7 +24,7 @@ table = importlib.import_module("experiments.27_few.peers_table")
 
 TOGETHER = ("crossq",)  # scripts that run all seeds in one program
 SCRIPTS = Path(__file__).parent.parent / "24_off_policy"
-# what all have: the task of `few`, and 64 robots to four times the steps of `few`
+# what all have: the task of `few`, and 64 robots to nearly five times the steps of `few`
 COMMON = "--config go1:few --robots 64 --steps 204800 --evaluations 32"
 
 
@@ -39,7 +39,7 @@ def main():
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
     jobs = paper.jobs(args.jobs)
-    names = table.chosen(args.best, args.jobs) if args.best else args.names
+    names = table.of_each_method(args.best, args.jobs) if args.best else args.names
     chosen = paper.chosen(jobs, names)
     with ThreadPoolExecutor(args.workers) as pool:
         runs = [

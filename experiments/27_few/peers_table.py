@@ -26,11 +26,14 @@ from experiments import paper
 runs = importlib.import_module("experiments.21_less.table")
 
 HERE = Path(__file__).parent
+RUNS, JOBS = HERE / "peers_tune.csv", HERE / "peers_tune.txt"
 AT = 13e3, 26e3, 38e3, 51e3, 102e3
 NEAR = 0.11  # of the steps: an evaluation that is farther is not shown
 EARLY, LEVEL = 30, walks.level(45)
 STEPS, WHOLE = 204_800, 0.9  # asked for; the share of its steps with which a setting counts
+SEEDS = 2
 METHODS = {"crossq": "CrossQ", "sac": "SAC"}
+COLUMNS = "seed", "sim_steps", "return", "fall_rate"
 WORDS = {
     "crossq": "64 updates a step, width 1024",
     "crossq-u128": "128 updates",
@@ -71,26 +74,36 @@ class Setting(NamedTuple):
 
 def main():
     paper.parser(__doc__).parse_args()
-    found = settings(HERE / "peers_tune.csv", HERE / "peers_tune.txt")
+    found = settings()
     print(table(found))
     for method, name in METHODS.items():
-        chosen, first = best(found, paper.jobs(HERE / "peers_tune.txt"), method)
-        one = found[chosen]
-        print(f"{name} so far: {chosen}, {one.cost / 1e3:.1f} k; at the end {one.end:.1f}")
+        soonest, first = best(found, paper.jobs(JOBS), method)
+        one = found[soonest]
+        print(f"{name} so far: {soonest}, {one.cost / 1e3:.1f} k; at the end {one.end:.1f}")
         print(f"  must run first: {', '.join(first) or 'none'}")
 
 
-def settings(path: Path, jobs: Path, folder: Path | None = None) -> dict[str, Setting]:
-    """Of a file, and of what peers.py wrote into a folder, cut off or not, in the place of older runs."""
-    lines, rows = paper.jobs(jobs), read(path)
+def settings(folder: Path | None = None, jobs: Path = JOBS) -> dict[str, Setting]:
+    """Of peers_tune.csv; and of what peers.py wrote into a folder, cut off or not, where it got farther."""
+    lines, rows = paper.jobs(jobs), read(RUNS)
     later: dict[str, list] = {}
     for one in sorted(folder.glob("*.csv*") if folder else ()):
         name = re.sub(r"(-\d+)+\.csv(\.part)?$", "", one.name)
         later.setdefault(name, []).extend(read(one, name)[name])
-    rows |= {name: some for name, some in later.items() if some}
+    for name, some in later.items():
+        if far(some) > far(rows.get(name, [])):
+            rows[name] = some
     return {
         name: setting(runs.seeds(some), asked(lines.get(name, ""))) for name, some in rows.items()
     }
+
+
+def far(rows: list) -> tuple[int, float]:
+    """How many seeds there are, and to how many steps all of them got."""
+    last: dict[float, float] = {}
+    for row in rows:
+        last[row["seed"]] = max(row["sim_steps"], last.get(row["seed"], 0.0))
+    return len(last), min(last.values(), default=0.0)
 
 
 def read(path: Path, name: str = "") -> dict[str, list]:
@@ -98,14 +111,17 @@ def read(path: Path, name: str = "") -> dict[str, list]:
     rows: dict[str, list] = {name: []} if name else {}
     with path.open(newline="") as file:
         for row in csv.DictReader(file):
-            kept = {key: float(row[key]) for key in ("seed", "sim_steps", "return", "fall_rate")}
+            kept = [row[key] for key in COLUMNS]
+            if None in kept:  # it was cut off as it wrote
+                continue
+            kept = dict(zip(COLUMNS, map(float, kept), strict=True))
             rows.setdefault(name or row["name"], []).append(kept)
     return rows
 
 
-def chosen(folder: Path, jobs: Path) -> list[str]:
+def of_each_method(folder: Path, jobs: Path) -> list[str]:
     """The best of each method, with the runs of a folder; SystemExit if others must run before."""
-    found, names = settings(HERE / "peers_tune.csv", jobs, folder), []
+    found, names = settings(folder, jobs), []
     for method in METHODS:
         name, first = best(found, paper.jobs(jobs), method)
         if first:
@@ -124,7 +140,8 @@ def setting(seeds: list, steps: int) -> Setting:
     whole = min(run[-1]["sim_steps"] for run in seeds) >= WHOLE * steps
     cost = float(np.mean(np.where(np.isnan(level), 2 * STEPS, level)))
     end = float(np.mean([row["return"] for run in seeds for row in run[-3:]]))
-    return Setting(seeds, level, bool(whole or np.isfinite(level).all()), cost, end)
+    counts = len(seeds) >= SEEDS and (whole or np.isfinite(level).all())
+    return Setting(seeds, level, bool(counts), cost, end)
 
 
 def best(found: dict[str, Setting], jobs: dict[str, str], method: str) -> tuple[str, list[str]]:
@@ -132,7 +149,7 @@ def best(found: dict[str, Setting], jobs: dict[str, str], method: str) -> tuple[
     mine = [name for name, job in jobs.items() if job.split()[0] == method]
     count = [name for name in mine if name in found and found[name].counts]
     first = [name for name in mine if name not in count]
-    return min(count, key=lambda name: order(found[name])), first
+    return min(count, key=lambda name: order(found[name]), default=""), first
 
 
 def order(one: Setting) -> tuple:
@@ -148,7 +165,7 @@ def table(found: dict[str, Setting]) -> str:
     for method, label in METHODS.items():
         mine = {name: one for name, one in found.items() if name.split("-")[0] == method}
         for name in sorted(mine, key=lambda name: order(mine[name])):
-            cells = [f"{label}, {WORDS[name]} (`{name}`)", *row(mine[name])]
+            cells = [f"{label}, {WORDS.get(name, name)} (`{name}`)", *row(mine[name])]
             lines.append(cells)
     return paper.markdown(head, lines)
 
