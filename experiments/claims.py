@@ -4,7 +4,7 @@
 
 Those of runs are computed from files of results; `MEASURED` has times that somebody took by hand. A new
 measurement is a new row here, then this command, then the pages that it names. `STATED` has the words in
-which a page states a number; tests/test_claims.py holds the pages to them.
+which a page states a number; tests/results/test_claims.py holds the pages to them.
 """
 
 import csv

@@ -128,7 +128,7 @@ BREAKS = (  # file, text, what it becomes, tests that must see it
         "experiments/stats.py",
         "np.logical_and.accumulate(holding[::-1])[::-1]",
         "holding",
-        "test_experiments_stats.py",
+        "results/test_statistics.py",
     ),
     (
         "dynappo/policy/policy_file.py",

@@ -35,12 +35,13 @@ TESTS = pathlib.Path(__file__).parent
 PEERS = TESTS / "peers"
 LONGEST = """
 test_algorithm tasks/test_playground run/test_run tasks/test_env train/test_command run/test_checkpoint
-test_experiments learner/test_ppo program/test_distributed test_fast sweeps/test_sweep test_random_numbers
+learner/test_ppo program/test_distributed test_fast sweeps/test_sweep test_random_numbers
 physics/test_kernel_scope physics/test_rough_ground test_seeds model/test_dynamics model/test_memory
 web/test_task_page adopt/test_command physics/test_c_mujoco physics/test_warp_call sweeps/test_every_float
 physics/test_xla_call program/test_build model/test_options terrain/test_rough_task policy/test_render
 tasks/test_brax_env tasks/test_logged run/test_faults test_environment_page learner/test_symmetry
-web/test_browser evaluate/test_command test_commands_in_pages description/test_feet config/test_stop
+web/test_browser evaluate/test_command results/test_controls test_commands_in_pages results/test_paper
+results/test_few description/test_feet config/test_stop
 tasks/test_change test_scores learner/test_networks tasks/test_draws tasks/test_brax_named
 """.split()  # files that take more than ten seconds of a processor, about in this order (README.md)
 

@@ -280,7 +280,7 @@ def test_a_notebook_defines_nothing(path):
 
 
 def test_the_first_runs_words_have_the_numbers_of_its_outputs_and_of_the_configs():
-    """Those of README.md: tests/test_claims.py."""
+    """Those of README.md: tests/results/test_claims.py."""
     notebook = read(ROOT / "notebooks" / "01_first_run.ipynb")
     words = " ".join(c.source for c in notebook.cells if c.cell_type == "markdown").split()
     words, shown = " ".join(words), printed(notebook)

@@ -25,7 +25,7 @@ from experiments import pictures, stats
 
 controls = importlib.import_module("experiments.19_collapse.controls")
 table = importlib.import_module("experiments.19_collapse.table")
-HERE = Path(__file__).parents[1] / "experiments/19_collapse"
+HERE = Path(__file__).parents[2] / "experiments/19_collapse"
 REAL = 5  # rows of 8
 
 

@@ -16,7 +16,7 @@ from dynappo.bench import command as bench
 from experiments import cards, paper
 
 peers = importlib.import_module("experiments.27_few.peers_table")
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 PLAN = ROOT / "experiments/next.txt"
 
 

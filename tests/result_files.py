@@ -1,0 +1,87 @@
+"""What the tests of results share: the files of experiments/, and the tables and words of its pages."""
+
+import csv
+import functools
+import importlib
+import lzma
+import re
+import sys
+
+import numpy as np
+from answers import ROOT
+
+EXPERIMENTS = ROOT / "experiments"
+ROW_COST = "30_row_cost"
+HUMANOID = EXPERIMENTS / "25_humanoid"
+LESS = EXPERIMENTS / "21_less"
+LETTERS = {"Go1": "g", "Go2": "h", "ANYmal-C": "c", "ANYmal-D": "d"}
+DEPLOY = EXPERIMENTS / "22_deploy"
+
+
+@functools.cache
+def script(name):
+    """The module FOLDER/NAME, imported as the script itself is: with its folder's other files."""
+    folder, _, stem = name.partition("/")
+    others = {path.stem for path in (EXPERIMENTS / folder).glob("*.py")}
+    kept = {other: sys.modules.pop(other) for other in others & sys.modules.keys()}
+    sys.path.insert(0, str(EXPERIMENTS / folder))
+    try:
+        return importlib.import_module(stem or "plot")
+    finally:
+        sys.path.pop(0)
+        for other in others:
+            sys.modules.pop(other, None)
+        sys.modules.update(kept)
+
+
+def shows(text, *values):
+    """Whether the numbers in a cell are these, each to the digits that it has; what is halfway may go up or
+    down."""
+    numbers = re.findall(r"(?<![\w.])\d+(?:\.\d+)?", text)
+    digits = [len(number.partition(".")[2]) for number in numbers]
+    return len(numbers) == len(values) and all(
+        abs(float(number) - value) <= 0.5 * 10.0**-count + 1e-9
+        for number, count, value in zip(numbers, digits, values, strict=True)
+    )
+
+
+@functools.cache
+def few_jobs(batch):
+    """Jobs of a batch of 27_few by name."""
+    return script("27_few/table").read(EXPERIMENTS / "27_few/results/gpu.csv.xz", batch)
+
+
+@functools.cache
+def few_of(batch, name):
+    """Of a job of 27_few: seeds, and where each is first at its level and walks."""
+    table = script("27_few/table")
+    seeds = table.runs.seeds(few_jobs(batch)[name])
+    return seeds, table.runs.reached(seeds, table.level_of(seeds[0]))
+
+
+def cells(line):
+    """Of a row of a Markdown table, without bold."""
+    return [cell.strip() for cell in line.replace("**", "").strip("| ").split("|")]
+
+
+@functools.cache
+def less(name):
+    """The table script of 21_less, and a packed file of its runs."""
+    table = script("21_less/table")
+    return table, table.read(LESS / f"results/{name}.csv.xz")
+
+
+@functools.cache
+def packed(name):
+    """`(batch, name) -> seed -> rows` of a packed file of 22_deploy."""
+    found = {}
+    with lzma.open(DEPLOY / f"{name}.csv.xz", "rt", newline="") as file:
+        for row in csv.DictReader(file):
+            job = found.setdefault((row["batch"], row["name"]), {})
+            job.setdefault(row["seed"], []).append(row)
+    return found
+
+
+def column(job, name):
+    """Of a job's seeds and evaluations, `[S, E]`."""
+    return np.array([[float(row[name]) for row in rows] for rows in job.values()])

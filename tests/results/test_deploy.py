@@ -1,0 +1,728 @@
+"""22_deploy: policies for hardware."""
+
+import csv
+import functools
+import json
+import lzma
+import re
+
+import numpy as np
+import pytest
+from result_files import (
+    DEPLOY,
+    EXPERIMENTS,
+    HUMANOID,
+    LESS,
+    LETTERS,
+    ROOT,
+    ROW_COST,
+    cells,
+    column,
+    less,
+    packed,
+    script,
+    shows,
+)
+
+from dynappo import config as config_lib
+from dynappo import schedule
+from dynappo.policy import policy_source
+from experiments import paper, stats
+
+
+def test_the_table_of_ppo_on_hardware_and_the_exact_task_is_that_of_its_runs():
+    """Every job of ppo_others.txt to its end; beside `best` of the exact task, and today's `deploy`."""
+    choose, (table, jobs) = script("21_less/choose"), less("ppo")
+    asked = paper.jobs(LESS / "ppo_others.txt")
+    robot_of = {letter: robot for robot, letter in LETTERS.items()}
+    part = (LESS / "ppo.md").read_text().split("## Hardware and the exact task\n")[1]
+    shown = [
+        cells(line) for line in part.splitlines() if line.startswith(("| exact", "| `deploy`"))
+    ]
+    assert len(shown) == len(asked) == 10
+    for name, line in asked.items():
+        job, (task, robots, letter) = jobs[name], name.split("-")
+        assert job[0]["job"] == line and {row["batch"] for row in job} == {
+            "7" if letter == "c" else "6"
+        }
+        assert job[-1]["iteration"] == float(re.search(r"num_iterations=(\d+)", line)[1])
+        row = cells(table.table({name: job}, table.best(job)).splitlines()[-1])
+        label = f"{task if task == 'exact' else '`deploy`'}, {robot_of[letter]}, {robots} robots"
+        assert [label, *row[5:8], row[3], row[2], *row[9:11]] in shown, name
+    words = " ".join(part.split())
+    # the exact task
+    costs = script(f"{ROW_COST}/table")
+    mine = {
+        one.place: one
+        for one in costs.runs()
+        if one[1:3] == ("H200, 2026-11-28", "best") and one.place.endswith("exact")
+    }
+    go1, anymal = mine["go1.exact"], mine["anymal_c.exact"]
+    more = []
+    for best, name, level in ((go1, "exact-256-g", 38), (anymal, "exact-256-c", 24)):
+        more.append(stats.ratio(reached_of(jobs[name], level), best.level[:, 1]))
+        assert choose.cost(jobs[name], "level") < choose.cost(
+            jobs[name.replace("256", "512")], "level"
+        )
+    text = "{:.1f} times the steps of `best` on a Go1 ({:.1f} to {:.1f}) and {:.1f} times on an ANYmal-C"
+    assert f"{text} ({{:.1f}} to {{:.1f}})".format(*more[0], *more[1]) in words
+    steps = [one.level[:, 1].mean() / 1e6 for one in (go1, anymal)]
+    assert "which need {:.2f} and {:.2f} M".format(*steps) in words
+    other = " ".join((EXPERIMENTS / ROW_COST / "README.md").read_text().split())
+    text = (
+        "three tuning seeds, {:.1f} ({:.1f} to {:.1f}) and {:.1f} times ({:.1f} to {:.1f}) those of"
+    )
+    assert text.format(*more[0], *more[1]) in other
+    fewest = [reached_of(jobs[f"exact-256-{x}"], y).mean() / 1e6 for x, y in (("g", 38), ("c", 24))]
+    assert "it needs [{:.2f} and {:.2f} M".format(*fewest) in other
+    for letter, robots in (("g", "256"), ("c", "512")):  # that the rule takes
+        cost = {n: choose.cost(jobs[f"exact-{n}-{letter}"]) for n in ("256", "512")}
+        assert min(cost, key=cost.get) == robots
+    walked = table.reached(table.seeds(jobs["exact-512-c"]), 24).walks
+    text = "after {:.1f} times the steps of `best` ({:.1f} to {:.1f})"
+    assert text.format(*stats.ratio(walked, anymal.walks[:, 1])) in words
+    assert np.isfinite(go1.walks[:, 1]).sum() == 2 and f"{go1.end / 1e6:.1f}" == "2.7"
+    # hardware
+    today = table.read(DEPLOY / "deploy.csv.xz", "4")
+    again = table.read(DEPLOY / "tuning.csv.xz", "solver")["solver10-c"]
+    then = table.read(DEPLOY / "deploy.csv.xz", "1")
+
+    def on_a_line(job, level):
+        found = []
+        for rows in table.seeds(job):
+            steps, returns = (
+                [row[name] / scale for row in rows]
+                for name, scale in (("sim_steps", 1e6), ("return", 1))
+            )
+            k = next(i for i, value in enumerate(returns) if value >= level)
+            found.append(np.interp(level, returns[k - 1 : k + 1], steps[k - 1 : k + 1]))
+        return np.mean(found)
+
+    go1, anymal = today["go1-bundled"], today["anymal_c-bundled"]
+    ends = sorted({row["sim_steps"] / 1e6 for row in anymal})
+    assert "after {:.1f}, {:.1f}, {:.1f} and {:.1f} M steps".format(*ends[:4]) in words
+    for job, level in ((go1, 30), (anymal, 15)):  # all between the first two evaluations
+        assert {*(reached_of(job, level) / 1e6)} == {ends[1]}
+    early = on_a_line(go1, 30), on_a_line(anymal, 15)
+    assert "after {:.1f} and {:.1f}, and that line".format(*early) in words
+    firsts, gaps = {}, {}
+    for name in asked:
+        top = 30 if name.endswith("g") else 15
+        firsts[name] = reached_of(jobs[name], top) / 1e6
+    for name in [name for name in asked if name.startswith("deploy")]:
+        job = go1 if name[-1] == "g" else anymal
+        for at in ends[:2]:
+            mine, its = (table.between(one, at * 1e6, "return") for one in (job, jobs[name]))
+            difference = stats.difference(mine, its), stats.welch_of(mine, its)
+            gaps[name, at] = (mine.mean(), its.mean(), *difference)
+    near = {x: [gaps[f"deploy-{n}-{x}", ends[0]] for n in (256, 512, 1024)] for x in "gc"}
+    most = {x: max(some, key=lambda one: one[1]) for x, some in near.items()}
+    assert all(one is near[x][0] for x, one in most.items())  # with 256 robots
+    text = "a Go1 of `deploy` returns {:.1f}, PPO at most {:.1f} with any of the three numbers of robots"
+    text += " ({:.1f} less, {:.1f} to {:.1f})"
+    assert text.format(*most["g"][:2], *most["g"][2]) in words
+    text = "an ANYmal-C {:.1f} and at most {:.1f} ({:.1f} less, {:.1f} to {:.1f}, p {:.3f}, uncorrected)"
+    assert text.format(*most["c"][:2], *most["c"][2], most["c"][3]) in words
+    assert all(one[2].low > 0 for some in near.values() for one in some)
+    soonest = {
+        x: min((256, 512, 1024), key=lambda n, x=x: np.nanmean(firsts[f"deploy-{n}-{x}"]))
+        for x in "gc"
+    }
+    assert {*soonest.values()} == {256}
+    ppo = [np.nanmean(firsts[f"deploy-256-{x}"]) for x in "gc"]
+    assert [np.isfinite(firsts[f"deploy-256-{x}"]).sum() for x in "gc"] == [2, 2]
+    assert "first there after {:.1f} and {:.1f} (two of three seeds".format(*ppo) in words
+    later = [gaps[f"deploy-256-{x}", ends[1]][2] for x in "gc"]
+    text = "returns {:.1f} and {:.1f} more than it, with 0 in both intervals"
+    assert text.format(*(x.value for x in later)) in words and all(
+        x.low < 0 < x.high for x in later
+    )
+    twenty = reached_of(anymal, 20) / 1e6
+    text = "is at 20 after {:.1f} M steps (first to last seed {:.1f} to {:.1f}, of evaluations 8 M apart;"
+    text += " {:.1f} by that line)"
+    assert text.format(twenty.mean(), twenty.min(), twenty.max(), on_a_line(anymal, 20)) in words
+    its = np.concatenate([reached_of(jobs[f"deploy-{n}-c"], 20) for n in (256, 512, 1024)]) / 1e6
+    assert [np.isfinite(its[k : k + 3]).sum() for k in (0, 3, 6)] == [0, 1, 2]
+    text = f"1024, after {np.nanmin(its):.1f} to {np.nanmax(its):.1f}; the other six do not"
+    assert f"three of nine runs, one with 512 robots and two with {text}" in words
+    gaps = {}
+    for name in [name for name in asked if name.startswith("deploy")]:
+        end = jobs[name][-1]["sim_steps"]
+        pair = [
+            table.between(job, end, "return")
+            for job in (jobs[name], go1 if name[-1] == "g" else anymal)
+        ]
+        gaps[name] = (end / 1e6, *(x.mean() for x in pair), *stats.difference(*pair))
+        assert name.endswith("c") or gaps[name][-2] < 0 < gaps[name][-1]
+    text = "after {:.1f} M {:.1f}, `deploy` {:.1f} by that line, {:.2f} less ({:.2f} to {:.2f}, uncorrected)"
+    assert text.format(*gaps["deploy-1024-c"]) in words
+    at, its, mine, _, low, high = gaps["deploy-512-c"]
+    assert f"no difference is shown, after {at:.1f} M {its:.1f} and {mine:.1f};" in words
+    assert low < 0 < high
+    at, its, *_ = gaps["deploy-256-c"]
+    assert f"with 256 it ends lower in the mean, after {at:.1f} M at {its:.1f}." in words
+    text = "is at 35 after {:.1f} M ({:.1f} by that line), PPO with 256 robots in two runs of three after"
+    text += " {:.1f};"
+    its = reached_of(jobs["deploy-256-g"], 35) / 1e6
+    numbers = (reached_of(go1, 35) / 1e6).mean(), on_a_line(go1, 35), np.nanmean(its)
+    assert text.format(*numbers) in words and np.isnan(its).sum() == 1
+    text = "are at 15 after {:.1f} M and at 20 after {:.1f}, by that line"
+    assert text.format(on_a_line(again, 15), on_a_line(again, 20)) in words
+    old = reached_of(then["go1"], 30).mean() / 1e6, reached_of(then["anymal_c"], 20).mean() / 1e6
+    assert "was at 30 after {:.1f} M, and an ANYmal-C at 20 after {:.1f}.".format(*old) in words
+    config = config_lib.validate(config_lib.load("anymal_c:deploy"))
+    thousand = config.rollout.num_envs * config.rollout.horizon / 1e3
+    assert f"From iteration {config.schedule.last_iteration} on `deploy` has no tail" in words
+    assert f"{thousand:.0f} thousand steps an iteration" in words
+    assert config.ppo.late_kl == 1.0  # so no run of PPO halves its KL there
+    ended = [
+        np.mean([run[-1]["return"] for run in table.seeds(job)])
+        for job in (anymal, then["anymal_c"])
+    ]
+    assert f"ends at {ended[0]:.1f} after {ends[-1]:.1f} M" in words
+    assert f"ended at {ended[1]:.1f}" in words
+    # the same on the page of hardware
+    page = " ".join((DEPLOY / "README.md").read_text().split())
+    results = " ".join((ROOT / "docs/results.md").read_text().split())
+    early = most["g"][0], most["c"][0], most["g"][1], most["c"][1]
+    text = "a Go1 returns {:.1f} and an ANYmal-C {:.1f}, with PPO at most {:.1f} and {:.1f}, with 256, 512"
+    assert text.format(*early) in page
+    text = "a Go1 returns {:.1f} and an ANYmal-C {:.1f}, with PPO alone at most {:.1f} and {:.1f}. Later"
+    assert text.format(*early) in results
+    assert (
+        "is there after {:.1f} and {:.1f} (256 robots, two of three seeds each)".format(*ppo)
+        in page
+    )
+    text = f"an ANYmal-C takes {twenty.mean():.0f} M steps to 20"
+    assert text in page and text in results
+    assert "three of nine runs take 14 to 19, and the others" in results
+    assert "are not there by their ends, at 9.2 to 19.7 M" in page
+    many = [np.nanmean(firsts[f"deploy-{n}-{x}"]) for x in "gc" for n in (256, 512, 1024)]
+    text = "256 robots reach 30 after {:.1f} M steps, 512 after {:.1f}, 1024 after {:.1f}, in the mean of the"
+    text += " seeds that get there. On an ANYmal-C they reach 15 after {:.1f} (one of three never), {:.1f}"
+    text += " and {:.1f}"
+    assert text.format(*many) in page
+
+
+def reached_of(job, level):
+    """Steps of each seed to a return."""
+    table, _ = less("ppo")
+    return table.reached(table.seeds(job), level).level
+
+
+def test_the_table_of_feet_lifted_by_and_by_is_that_of_its_runs():
+    """22_deploy: falls and returns of tuning.csv.xz, clearance and benchmark of ramp.txt; a laptop's run."""
+    folder, runs = EXPERIMENTS / "22_deploy", {}
+    with lzma.open(folder / "tuning.csv.xz", "rt", newline="") as file:
+        for row in csv.DictReader(file):
+            if row["batch"] in ("heights", "ramp"):
+                at = runs.setdefault((row["name"], int(row["iteration"])), [])
+                at.append((100 * float(row["fall_rate"]), float(row["return"])))
+    printed = (folder / "ramp.txt").read_text()
+    page = (folder / "feet.md").read_text()
+    part = page.split("## Higher feet, by and by")[1].split("\n## ")[0]
+    lines = [
+        cells(line)
+        for line in part.splitlines()
+        if line.startswith(("| A", "| -", "| ramp", "| **"))
+    ]
+    names = "lift0.7h8 lift0.5h10 ramp1h10 ramp1.5h12".split()
+    names = [f"{name}-{robot}" for robot in "cd" for name in names]
+    for name, line in zip(names, lines, strict=True):
+        falls, (back, *rest) = line[1:4], line[4:]
+        for at, cell in zip((100, 200, 700), falls, strict=True):
+            assert cell == ", ".join(f"{x:.0f}" for x, _ in runs[name, at]), (name, at)
+        assert back == ", ".join(f"{x:.1f}" for _, x in runs[name, 700])
+        if name.startswith("ramp"):
+            of = re.escape(name)
+            found = re.findall(rf"{of}\.\d .*clearance cm ([\d.]+)", printed)
+            assert (
+                rest[0] == ", ".join(f"{float(x):.1f}" for x in found) + " cm" and len(found) == 3
+            )
+            found = re.findall(rf"{of}\.\d .* return ([\d.]+)", printed)
+            assert rest[1] == ", ".join(f"{float(x):.1f}" for x in found)
+    with open(folder / "laptop_ramp.csv", newline="") as file:
+        told = {(x["clearance_ramp"], x["iteration"]): x for x in csv.DictReader(file)}
+    for key, text in (
+        (("0.05", "80"), "1.43 of 3.75"),
+        (("None", "80"), "-0.19 without"),
+        (("0.05", "400"), "2.56 and"),
+        (("None", "400"), "2.55 in the end"),
+    ):
+        assert f"{float(told[key]['episode_return']):.2f}" == text.split()[0] and text in " ".join(
+            page.split()
+        )
+    assert [round(float(told["0.05", at]["share"]), 2) for at in ("30", "370")] == [0.01, 1.0]
+
+
+def test_the_pages_of_the_bundled_policies_and_of_a_still_robot_have_the_numbers_of_their_files():
+    """gait.txt and benchmark.txt are what the scripts of those names printed."""
+    page = (EXPERIMENTS / "22_deploy/gait.md").read_text()
+    for line in (EXPERIMENTS / "22_deploy/gait.txt").read_text().splitlines():
+        name, *values = re.findall(r"^\w+|[\d.]+(?=,|$)", line)
+        row = next(cells(one) for one in page.splitlines() if one.startswith(f"| `{name}` |"))[1:]
+        for shown, value in zip(row, values, strict=True):
+            number = shown.split()[0]
+            digits = len(number.partition(".")[2])
+            # the file has three digits, so its last one may round either way
+            assert abs(float(number) - float(value)) <= 0.51 * 10**-digits + 1e-9, (
+                name,
+                shown,
+                value,
+            )
+    lines = (EXPERIMENTS / "22_deploy/benchmark.txt").read_text().splitlines()
+    found = {line.split()[0]: re.search(r"return ([\d.]+)", line)[1] for line in lines}
+    for robot, label in paper.ROBOTS.items():
+        full, less = found[robot], found[f"{robot}_deploy"]
+        lost = 100 * (1 - float(less) / float(full))
+        assert f"| {label.removeprefix('Unitree ')} | {full} | {less} | {lost:.1f} % |" in page
+    still = json.loads((EXPERIMENTS / "04_laptop/results/still.json").read_text())
+    page = (ROOT / "docs/results.md").read_text()
+    best, laptop = still["best"], still["laptop"]
+    assert best["fall_rate"] == laptop["fall_rate"] == 0
+    row = f"1000 episodes, tracking error {best['tracking_error']:.2f} m/s | "
+    assert f"{row}{best['return']:.1f} | {laptop['return']:.1f} |" in page
+
+
+def tables_of(page):
+    """Rows of cells of each table of a page of 22_deploy, the head first."""
+    found, last = [], ""
+    for line in (DEPLOY / f"{page}.md").read_text().splitlines():
+        if line.startswith("|") and "|---" not in line:
+            if not last.startswith("|"):
+                found.append([])
+            found[-1].append([cell.strip() for cell in line.replace("**", "").split("|")[1:-1]])
+        last = line
+    return found
+
+
+def test_the_disturbances_of_the_policies_for_hardware_are_those_of_their_files():
+    """All of them in disturbances.md; some on the page and in DEPLOY.md; nothing falls, as the page says."""
+    table = script("22_deploy/table")
+    printed = [
+        [cell.strip() for cell in line.split("|")[1:-1]]
+        for line in table.table(table.NAMES).splitlines()
+        if "|---" not in line
+    ]
+    (mine,) = tables_of("disturbances")
+    assert mine == printed and len(mine) == 26
+    rows = {row[0]: dict(zip(printed[0], row, strict=True)) for row in printed}
+    head, *short = tables_of("README")[0]
+    assert len(short) == 9
+    for row in short:
+        assert row == [rows[row[0]][name] for name in head], row
+    guide = (ROOT / "robots/DEPLOY.md").read_text().split("## Under disturbances")[1]
+    lines = [cells(line) for line in guide.split("\n## ")[0].splitlines() if line[:1] == "|"]
+    assert len(lines) > 9
+    g1 = json.loads((HUMANOID / "results/stress_deploy.json").read_text())["rows"]
+    g1 = {row["stress"]: table.cell(row) for row in g1}
+    for label, *some in lines[2:]:
+        for policy, cell in zip(lines[0], some, strict=True):  # its first cell is empty
+            known = g1[label] if policy == "g1_deploy" else rows[label][policy]
+            assert cell.replace(" falls", "").replace(" fall", "") == known, (label, policy)
+    of_four = [name for name in table.NAMES if name.endswith("_deploy")]
+    assert {rows[x][name][:3] for x in rows if x for name in of_four} == {"0; ", ""}
+    bare = [float(rows["none"][name].split("; ")[1]) for name in of_four]
+    assert max(bare) == 0.06
+    text = " ".join((DEPLOY / "README.md").read_text().split())
+    assert (
+        "any of 16 disturbances, nor in 6 other physics" in text
+    )  # and the bare row, and go1's two
+    assert len(rows) - 1 == 1 + 16 + 6 + 2
+
+
+def test_the_steps_of_the_policies_for_hardware_are_those_of_their_runs():
+    table = script("21_less/table")
+    jobs = table.read(DEPLOY / "deploy.csv.xz")
+    full = [row for part in tables_of("steps") for row in part]
+    short = tables_of("README")[2]
+    for label, name in (
+        ("Go1, PPO", "go1-ppo"),
+        ("Go1, `deploy`", "go1"),
+        ("Go2, `deploy`", "go2"),
+        ("ANYmal-C, PPO", "anymal_c-ppo"),
+        ("ANYmal-C, `deploy`", "anymal_c"),
+        ("ANYmal-D, `deploy`", "anymal_d"),
+    ):
+        mine = {name: jobs[name]}
+        row = cells(table.table(mine, table.best(jobs[name])).splitlines()[2])[1:]
+        row = [*row[:7], *row[8:]]  # the highest return is not on the page
+        assert [label, *row] in full, label
+        assert [label, *row[4:9]] in short, label
+    assert len(full) == 8 and len(short) == 7
+    steps = [
+        f"{np.mean([table.first(run, 30) for run in table.seeds(jobs[name])]) / 1e6:.3g}"
+        for name in ("go1", "go1-ppo")
+    ]
+    text = " ".join((DEPLOY / "README.md").read_text().split())
+    text_of = "a Go1 is at 30 after {:.1f} M, PPO after {:.0f}."
+    assert text_of.format(*map(float, steps)) in text
+    go2 = column({"503": packed("deploy")["1", "go2"]["503"]}, "fall_rate")[0]
+    at = column({"503": packed("deploy")["1", "go2"]["503"]}, "iteration")[0]
+    assert not go2[(at >= 200) & (at <= 650)].any() and round(100 * go2[-1]) == 21
+
+
+def test_the_fresh_seeds_for_hardware_fall_as_their_page_says():
+    """With the ramp and in brackets without it, whose seeds that learn late are left out of the end."""
+    rows, worst = tables_of("seeds")[1][1:], 0
+    assert len(rows) == 4
+    for robot, row in zip(paper.ROBOTS, rows, strict=True):
+        shown = []
+        for batch in "43":
+            job = packed("deploy")[batch, f"{robot}-bundled"]
+            falls, ends = 100 * column(job, "fall_rate"), column(job, "return")[:, -1]
+            assert list(column(job, "iteration")[0]) == [100 * k for k in range(1, 8)]
+            late = falls[:, 5] > 50
+            shown.append(
+                [
+                    falls[:, 0].mean(),
+                    falls[:, 1].mean(),
+                    falls[:, 2:].max(),
+                    ends[~late].mean(),
+                    late.sum(),
+                ]
+            )
+            worst = max(worst, falls[:, 1].max()) if batch == "4" else worst
+            if late.any():
+                assert f"{falls[late, -1][0]:.0f}" == {"go2": "12", "anymal_d": "27"}[robot]
+                assert f"{falls[late, 4][0]:.0f}" == {"go2": "80", "anymal_d": "78"}[robot]
+        for cell, values in zip(row[1:], zip(*shown, strict=True), strict=True):
+            assert shows(cell.removesuffix(" of 5"), *values), (robot, cell, values)
+    text = " ".join((DEPLOY / "README.md").read_text().split())
+    assert f"more than {worst:.1f} % of its episodes after 200 iterations" in text
+    job = packed("tuning")["ramped", "ramped1.2h12-c"]
+    falls, ends = 100 * column(job, "fall_rate"), column(job, "return")[:, -1]
+    told = " ".join((DEPLOY / "seeds.md").read_text().split())
+    found = re.search(r"batch `ramped`\): (.*?)\. ##", told)
+    assert shows(found[1], falls[:, 0].mean(), falls[:, 1].mean(), falls[:, 2:].max(), ends.mean())
+
+
+def test_what_was_tried_for_hardware_is_as_its_pages_say():
+    """What a policy sees; weights of feet of `best`; clearance and benchmark of the fresh seeds."""
+    rows, jobs = tables_of("tried")[0][1:], packed("tuning")
+    names = "full full-s h1-o h1-s h3-s h5-s h10-s h5-o h5-s-ppo".split()
+    for name, (_, steps, end) in zip(names, rows, strict=True):
+        job = jobs["observation", name]
+        returns, at = column(job, "return"), column(job, "sim_steps")
+        first = [x[y >= 20][0] / 1e6 for x, y in zip(at, returns, strict=True)]
+        assert shows(steps, np.mean(first)) and shows(end, returns[:, -1].mean()), name
+    with_best = tables_of("feet")[1]
+    checked = 0
+    for weight, *row in with_best[1:]:
+        for letter, cell in zip("ghcd", row, strict=True):
+            if cell:
+                name = f"best{weight.removesuffix(' (before)').lstrip('-')}-{letter}"
+                returns, at = (column(jobs["heights", name], x) for x in ("return", "sim_steps"))
+                level = 38 if letter in "gh" else 24
+                first = [x[y >= level][0] / 1e3 for x, y in zip(at, returns, strict=True)]
+                end, thousand = cell.split(";")[0].split(", ")
+                assert shows(end, returns[:, -1].mean()), (name, end, returns[:, -1].mean())
+                assert shows(thousand, np.mean(first)), (name, thousand, np.mean(first))
+                checked += 1
+    assert checked == 12
+    printed = (DEPLOY / "fresh.txt").read_text()
+    names = "go1-bundled go2-bundled anymal_c-bundled ramped1.2h12-c anymal_d-bundled".split()
+    for name, row in zip(names, tables_of("feet")[3][1:], strict=True):
+        of = re.escape(name)
+        found = re.findall(rf"^{of}\.\d .*clearance cm ([\d.]+)", printed, re.M)
+        assert len(found) == 5 and shows(row[1], *map(float, found)), name
+        found = re.findall(rf"^{of}\.\d(?:\.npz)? .* return ([\d.]+)", printed, re.M)
+        assert sorted(row[2].split(", ")) == sorted(f"{float(x):.1f}" for x in found), name
+    # what was asked for, of the bundled policies
+    asked = {row[0]: row[2:] for row in tables_of("README")[1]}
+    gait = {line.split()[0]: line for line in (DEPLOY / "gait.txt").read_text().splitlines()}
+    lost = {row[0]: row[3] for row in tables_of("gait")[4]}
+    for k, (robot, label) in enumerate(paper.ROBOTS.items()):
+        ahead = {
+            name: float(re.search(r"at 0.5 m/s cm ([\d.]+)", gait[name])[1])
+            for name in (robot, f"{robot}_deploy")
+        }
+        printed = re.sub(r"clearance at .*?, ", "", gait[f"{robot}_deploy"])
+        found = re.findall(r"([a-z /]+?) (?:cm |m/s )?([\d.]+)(?:,|$)", printed)
+        mine = {key.strip(): float(value) for key, value in found}
+        assert shows(asked["feet of `deploy`"][k], ahead[f"{robot}_deploy"])
+        assert shows(asked["the same, median of seven commands"][k], mine["clearance"])
+        assert f"{asked['return lost'][k]} %" == lost[label.removeprefix("Unitree ")]
+        assert shows(asked["load of `deploy`, left over right feet"][k], mine["left"])
+        fore = asked["front over hind feet (standing)"][k]
+        assert shows(fore, mine["front"], mine["front of standing"])
+        scuff = asked["feet below 4 mm"][k].removesuffix(" but for 20 ms")
+        assert shows(scuff, mine["scuff"], mine["slide"]), scuff
+        assert shows(asked["feet of the others: `go1`, `go2`, ..."][k], ahead[robot])
+
+
+def test_more_of_high_feet_and_the_go2_of_more_changes_are_as_their_files_say():
+    """Five seeds a row: clearances and benchmarks of fresh.txt, falls and returns of the batch `solver`."""
+    jobs, printed = packed("tuning"), (DEPLOY / "fresh.txt").read_text()
+    names = "solver4-c solver10-c ramped1.8h12-c ramped1.8h13-c ramped1.5h14-c solver10-d ramped1.3h12-d"
+    last = lambda job, column_: column(job, column_)[:, -1].mean()  # noqa: E731
+    for name, row in zip(names.split(), tables_of("feet")[4][1:], strict=True):
+        of, job = re.escape(name), jobs["solver", name]
+        cm = re.findall(rf"^{of}\.\d .*clearance cm ([\d.]+)", printed, re.M)
+        assert len(cm) == 5 and shows(row[1], *map(float, cm)), name
+        found = re.findall(rf"^{of}\.(\d) fall_rate .* return ([\d.]+)", printed, re.M)
+        told = re.findall(r"([\d.]+) \(7\d(\d)", row[2])
+        assert sorted((seed, float(x)) for x, seed in told) == sorted(
+            (seed, float(x)) for seed, x in found
+        )
+        assert shows(row[3], 100 * last(job, "fall_rate")) and shows(row[4], last(job, "return"))
+    bundled = json.loads((ROOT / "robots/go2/policy.json").read_text())
+    rows = tables_of("seeds")[0][1:]
+    for name, row in zip(
+        ("best0.2-h-changes", "best0.2-h-long", "best0.2-h-bundled"), rows, strict=False
+    ):
+        of = re.escape(name)
+        falls = dict(re.findall(rf"^{of}\.(\d) falls after (\d+) of 600", printed, re.M))
+        cm = dict(re.findall(rf"^{of}\.(\d) .*clearance cm ([\d.]+)", printed, re.M))
+        seeds = sorted(falls)
+        assert shows(row[1], *(float(falls[seed]) for seed in seeds)), name
+        assert shows(row[2], *(float(cm[seed]) for seed in seeds)), name
+        batch = "ramped" if name.endswith("bundled") else "solver"
+        assert shows(row[3], last(jobs[batch, name], "return")), name
+        if name == "best0.2-h-changes":
+            assert str(bundled["seed"]) == min(falls, key=lambda seed: int(falls[seed]))
+    assert bundled["run_seed"] == 720 + bundled["seed"]
+
+
+def test_what_makes_a_robot_stand_where_it_should_walk_slowly_is_as_its_file_says():
+    with (DEPLOY / "slow.csv").open(newline="") as file:
+        robots = list(csv.DictReader(file))
+    for robot, row in zip(robots, tables_of("gait")[2][1:], strict=True):
+        speeds = [robot[name] or "none" for name in "ahead back left turning_left".split()]
+        assert row[1] == ", ".join(speeds)
+        assert shows(row[2], float(robot["standing_joint_speed"]))
+        falls = [100 * float(robot["fall_rate"])] * ("falls" in row[3])
+        assert falls or not float(robot["fall_rate"])
+        assert shows(row[3], float(robot["return"]), *falls)
+        assert shows(row[4], float(robot["tracking_error"]))
+
+
+DIRECTIONS = "ahead back left turning_left".split()
+SLOWER = {  # jobs of a robot's letter -> their row on gait.md
+    "slow40-{}": "two of five, 0.5",
+    "slow-{}": "the same, `slow`",
+    "slow40-s42-{}": "two of five, 0.42 (ANYmals: to 500)",
+    "slow-narrow-{}": "two of five, 0.35",
+    "slow25-{}": "one in four, 0.5 (to 400)",
+    "narrow-{}": "none, 0.35",
+    "stand5-{}": "none, 0.5, one in 20 to stand",
+    "stand2-{}": "none, 0.5, one in 50 to stand",
+}
+
+
+@functools.cache
+def slowest():
+    """`policy -> row` of slowest.csv."""
+    with (DEPLOY / "slowest.csv").open(newline="") as file:
+        return {row["policy"]: row for row in csv.DictReader(file)}
+
+
+def followed_by(name):
+    """The slowest commands that a policy of slowest.csv follows, in each direction."""
+    return [slowest()[name][direction] or "none" for direction in DIRECTIONS]
+
+
+def test_five_seeds_that_hear_more_slow_commands_are_as_their_files_say():
+    """The slowest that all follow, clearance, where runs ended; who moves standing; what seeds fell."""
+    shown = {row[0]: row[1:] for row in tables_of("gait")[3][1:]}
+    assert [*shown] == [*SLOWER.values()]
+    still, jobs = [], packed("tuning")
+    for pattern, label in SLOWER.items():
+        for letter, cell in zip("ghcd", shown[label], strict=True):
+            name = pattern.format(letter)
+            seeds = [key for key in slowest() if key.rpartition(".")[0] == name]
+            assert len(seeds) == (5 if cell else 0), name
+            if not cell:
+                continue
+            assert cell.split("; ")[0] == max(max(followed_by(seed)) for seed in seeds), name
+            heights = [float(slowest()[seed]["clearance"]) for seed in seeds]
+            assert shows(cell.split("; ")[1], np.mean(heights), min(heights), max(heights)), name
+            end = 400 if "25" in name else 500 if "s42" in name and letter in "cd" else 700
+            job = jobs["slow40" if name.startswith(("slow40", "slow25")) else "slow", name]
+            assert len(job) == 5 and set(column(job, "iteration")[:, -1]) == {end}, name
+            if "stand" not in name and not name.startswith("narrow"):
+                still += [float(slowest()[seed]["standing"]) for seed in seeds]
+    page = " ".join((DEPLOY / "gait.md").read_text().split())
+    *others, most = sorted(still)
+    told = f"of the {len(still)} robots with slow commands the joints of one Go2 (0.35) move at"
+    assert (
+        f"{told} {most:.3f} rad/s" in page
+        and f"those of the others at {max(others):.3f} at most" in page
+    )
+    # seeds that choose.py played, and what narrower kernels are worth on an ANYmal-D
+    rows, benchmark = played(), (DEPLOY / "slow_chosen.txt").read_text()
+    falls = [total_falls(row) for name, row in rows.items() if re.match(r"slow(40)?-\w\.", name)]
+    fell = [count for count in falls if count]
+    assert len(falls) == 18 and len(fell) == 12
+    narrower = [total_falls(row) for name, row in rows.items() if name.startswith("slow40-s42-g.")]
+    assert narrower == [0] * 4
+    assert f"played twelve fall, {min(fell):.0f} to {max(fell):.0f} times" in page
+    before = [row for name, row in rows.items() if "-bundled." in name]
+    assert len(before) == 5 and not sum(map(total_falls, before))
+    some = {
+        job: [(name, row["error"]) for name, row in rows.items() if name.startswith(f"{job}.")]
+        for job in ("slow-narrow-d", "slow40-d")
+    }
+    back = {
+        job: [
+            float(re.search(rf"^{re.escape(n)} .*? return ([\d.]+)", benchmark, re.M)[1])
+            for n, _ in of
+        ]
+        for job, of in some.items()
+    }
+    (narrow, wide), (less, more) = some.values(), back.values()
+    assert (len(narrow), len(wide)) == (3, 5)
+    assert (
+        "{:.3f} to {:.3f} m/s with 0.35 (three seeds), {:.3f} to {:.3f} with 0.5 (five".format(
+            *(f(error for _, error in of) for of in (narrow, wide) for f in (min, max))
+        )
+        in page
+    )
+    assert f"for {min(less)} to {max(less)} instead of {min(more)} to {max(more)} on" in page
+    # what it costs: of one seed each, and of what is bundled
+    chosen = "slow40-s42-g.2", "slow-h.1", "slow40-c.1", "slow40-d.0"
+    bundled = [f"{robot}_deploy" for robot in paper.ROBOTS]
+    first = [
+        re.search(rf"^{re.escape(one)} .*? return ([\d.]+)", benchmark, re.M)[1] for one in chosen
+    ]
+    assert "has {}, {}, {} and {} on the".format(*(f"{float(x):.1f}" for x in first)) in page
+    energy = [f"{float(slowest()[one]['cost_of_transport']):.2f}" for one in [*chosen, *bundled]]
+    told = "transport is {}, {}, {} and {}, of the bundled ones {}, {}, {} and {}."
+    assert told.format(*energy) in page
+    errors = [f"{rows[one]['error']:.3f}" for one in chosen]
+    assert "track to {}, {}, {} and {} m/s".format(*errors) in page
+
+
+def played():
+    """`policy -> numbers` of choose.txt, and of slow_chosen.txt, by choose.py."""
+    rows = {}
+    for file in ("choose.txt", "slow_chosen.txt"):
+        for line in (DEPLOY / file).read_text().splitlines():
+            name, text = line.split(maxsplit=1)
+            if " stress" in line:
+                rows[name] = {key: float(value) for key, value in map(str.split, text.split(", "))}
+    return rows
+
+
+def total_falls(row):
+    return sum(row[kind] for kind in script("22_deploy/choose").FALLS)
+
+
+def test_more_changes_of_command_did_what_the_page_says():
+    """Falls of the headline's seeds in 200 changes each, with and without; first steps at the level."""
+    folder, falls = EXPERIMENTS / "21_less/results", {}
+    for file, kind in (("changes_lifted.txt", "best"), ("changes_more.txt", "changes")):
+        found = re.findall(
+            rf"^seed 0 {kind}-(\w)\.\d: falls after (\d+) of 200", (folder / file).read_text(), re.M
+        )
+        for robot in "ghcd":
+            falls[kind, robot] = [int(count) for of, count in found if of == robot]
+    page = " ".join((EXPERIMENTS / "21_less/task.md").read_text().split())
+    for robot, text in (("h", "on a Go2 ({} to {} in"), ("g", "on a Go1 ({} to {}, p")):
+        old, new = falls["best", robot], falls["changes", robot]
+        assert len(old) == len(new) == 10
+        assert text.format(sum(old), sum(new)) in page
+        p = stats.welch_of(old, new)
+        assert (f"p {p:.3f})" if robot == "h" else f"p {p:.2f})") in page
+    assert len(falls["changes", "c"] + falls["changes", "d"]) == 20
+    assert not sum(falls["changes", "c"] + falls["changes", "d"])
+
+
+BUNDLED = [f"{robot}{end}" for robot in paper.ROBOTS for end in ("", "_deploy")] + ["g1_deploy"]
+SECONDS_EACH = pytest.mark.slow  # three; a default test plays one
+
+
+@pytest.mark.parametrize(
+    "name", [name if name == "go1" else pytest.param(name, marks=SECONDS_EACH) for name in BUNDLED]
+)
+def test_slow_commands_that_a_bundled_policy_follows_are_those_of_the_file(name):
+    from dynappo.evaluate import slow
+
+    found = slow.run(policy_source.player(policy_source.load(name)[0])[0])
+    assert [f"{x:g}" if x else "none" for x in found.values()] == followed_by(name)
+
+
+@pytest.mark.parametrize("page", [DEPLOY / "gait.md", ROOT / "robots/DEPLOY.md"])
+def test_slow_commands_that_bundled_policies_follow_are_as_the_pages_say(page):
+    """A row a policy, or a column."""
+    section = page.read_text().split("## Slow commands")[1].split("\n## ")[0]
+    head, _, *rows = [cells(line) for line in section.splitlines() if line[:1] == "|"]
+    if "ahead" in head:  # a row a policy; the table after it is of runs that are not here
+        rows = rows[: [row[0] for row in rows].index("`go1:laptop`")]
+        told = {row[0].strip("`"): ", ".join(row[1:]) for row in rows}
+    else:
+        told = {name: ", ".join(row[k] for row in rows) for k, name in enumerate(head) if k}
+    assert len(told) >= 5
+    for name, text in told.items():
+        assert text == ", ".join(followed_by(name)), name
+
+
+def test_jobs_of_fewer_steps_for_hardware_change_robots_and_tails_alone():
+    """22_deploy/fewer.txt: the task is that of `deploy`, and PPO's and the model's settings are."""
+    lines = (EXPERIMENTS / "22_deploy/fewer.txt").read_text().splitlines()
+    assert len({line.split()[0] for line in lines}) == len(lines) == 8
+    for line in lines:
+        _, job, *fields = line.split()
+        mine, asked = config_lib.load(f"configs/{job.replace(':', '.py:')}"), {}
+        other = config_lib.flat(config_lib.validate(mine.copy_and_resolve_references()))
+        mine.run.log_every = 1
+        for field in fields:
+            name, value = field.split("=", 1)
+            config_lib.override(mine, name, value)
+            asked[name] = value
+        found = config_lib.flat(config_lib.validate(mine))
+        changed = {name for name, x in found.items() if x != other[name] and name[:4] != "run."}
+        assert changed <= {"rollout.num_envs", "schedule.last_iteration"} and changed
+        assert schedule.sim_steps(mine)[-1] < 15e6  # PPO's are up to 20 M
+
+
+def test_the_bundled_policies_for_hardware_are_the_best_rows_of_their_file():
+    """choose.txt has seeds of the highest returns; deploy.json names the best of them."""
+    choose = script("22_deploy/choose")
+    rows, ends = {}, {}
+    for line in (EXPERIMENTS / "22_deploy/choose.txt").read_text().splitlines():
+        name, text = line.split(maxsplit=1)
+        rows[name] = {key: float(value) for key, value in map(str.split, text.split(", "))}
+    with lzma.open(EXPERIMENTS / "22_deploy/deploy.csv.xz", "rt", newline="") as file:
+        for row in csv.DictReader(file):
+            if row["batch"] == "4":  # the last evaluation of a seed stays
+                ends[f"{row['name']}.{int(row['seed']) - 710}"] = float(row["return"])
+    for robot in paper.ROBOTS:
+        mine = [name for name in rows if name.startswith(f"{robot}-bundled.")]
+        seeds = sorted((name for name in ends if name.startswith(robot)), key=ends.get)
+        assert len(seeds) == 5 and mine == seeds[::-1][: len(mine)]
+        bundled = json.loads((ROOT / f"robots/{robot}/deploy.json").read_text())
+        chosen = f"{robot}-bundled.{bundled['seed']}"
+        assert chosen == choose.best({name: rows[name] for name in mine})[0]
+        assert not sum(rows[chosen][kind] for kind in choose.FALLS)
+        assert bundled["run_seed"] == 710 + bundled["seed"]
+
+
+def test_a_seed_is_chosen_by_all_its_falls_and_then_by_its_error(monkeypatch):
+    from dynappo.evaluate import changes, stress, trials
+
+    choose = script("22_deploy/choose")
+    row = lambda falls, error: {"falls": falls, "tracking_error": error}  # noqa: E731
+    monkeypatch.setattr(stress, "run", lambda *_: [row(0, 0.1), row(8, None), row(1, 0.3)])
+    walks = [{"fall": None, "tracking_error": 0.16, "yaw_error": 0.25}]
+    walks += [{"fall": 0.5, "tracking_error": None, "yaw_error": None}]
+    monkeypatch.setattr(trials, "run", lambda policy, player: ({"commands": walks}, None))
+    told = {0: (1, 0), 1: (0, 2), 2: (0, 0)}
+    monkeypatch.setattr(
+        changes, "run", lambda _, seed: dict(zip(("falls", "start_falls"), told[seed], strict=True))
+    )
+    monkeypatch.setattr(changes, "tours", lambda _: [{"fell_at": []}, {"fell_at": [1.0, 4.0]}])
+    found = choose.measure("go1")
+    assert found.pop("error") == pytest.approx((0.2 + 0.16) / 2)
+    assert found == {"stress": 9, "commands": 1, "worst": 0.25, "changes": 3, "tours": 2}
+    rows = {
+        name: dict.fromkeys(choose.FALLS, 0) | {kind: falls, "error": error}
+        for name, kind, falls, error in (
+            ("a", "changes", 1, 0.01),
+            ("b", "tours", 1, 0.02),
+            ("c", "stress", 0, 0.09),
+            ("d", "commands", 2, 0.01),
+            ("e", "stress", 0, 0.08),
+        )
+    }
+    assert choose.best(rows) == ["e", "c", "a", "b", "d"]

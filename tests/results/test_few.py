@@ -1,0 +1,760 @@
+"""27_few: few robots, their tables, parts and jobs."""
+
+import re
+
+import numpy as np
+import scipy.stats
+from result_files import EXPERIMENTS, cells, few_jobs, few_of, script, shows
+
+from dynappo import config as config_lib
+from dynappo import schedule
+from experiments import stats
+
+
+def test_jobs_of_few_robots_are_valid_and_evaluated_on_the_way_to_45_thousand_steps():
+    """Of 27_few: `robots-R` has R robots and a memory for all rows up to there. With up to 64 robots there
+    are ten evaluations until 45 thousand steps, which every run reaches."""
+    evaluations = script("21_less/run").evaluations
+    for file in ("jobs", "laptop", "fresh"):
+        lines = (EXPERIMENTS / f"27_few/{file}.txt").read_text().splitlines()
+        assert len({line.split()[0] for line in lines}) == len(lines)
+        for line in lines:
+            name, job, *fields = line.split()
+            robot, _, variant = job.partition(":")
+            config = config_lib.load(f"configs/{robot}.py:{variant}")
+            config.run.log_every = 1
+            for field in fields:
+                if not field.startswith("control="):
+                    config_lib.override(config, *field.split("=", 1))
+            config = config_lib.validate(config)
+            steps = schedule.sim_steps(config)
+            if name.startswith("robots-"):
+                robots, memory = int(name.split("-")[1]), config.model.memory
+                assert config.rollout.num_envs == robots
+                assert memory * robots >= 45_000
+            if file == "jobs":
+                asked = [steps[i - 1] for i in evaluations(config)]
+                many = config.rollout.num_envs > 64
+                assert many or sum(s <= 45_000 for s in asked) >= 10, name
+                assert steps[-1] > 42_000, name
+                assert config.schedule.late_from is None
+
+
+def test_fresh_seeds_of_few_pair_with_those_of_its_table():
+    """In 27_few's jobs.txt, and what ran: the seeds and evaluations of fresh.txt."""
+    folder = EXPERIMENTS / "27_few"
+    jobs, fresh = (
+        dict(line.split(None, 1) for line in (folder / f"{file}.txt").read_text().splitlines())
+        for file in ("jobs", "fresh")
+    )
+    ran = few_jobs("feet")
+    for robot in "ghcd":
+        asked = f"{fresh[f'fresh-{robot}']} schedule.anchors=0"
+        assert jobs[f"fresh-anchors-{robot}"] == asked
+        assert jobs[f"fresh-spread-{robot}"] == f"{fresh[f'fresh-{robot}']} control=spread"
+        no_late = "schedule.late_from=None ppo.late_kl=1.0"
+        asked = f"{fresh[f'fresh-{robot}']} {no_late}"
+        assert {row["job"] for row in few_jobs("late")[f"fresh-late-{robot}"]} == {asked}
+        assert {row["job"] for row in ran[f"fresh-{robot}"]} == {fresh[f"fresh-{robot}"]}
+
+
+def test_the_table_of_logs_is_that_of_its_seeds(tmp_path):
+    """In logs.md; and by hand, of two seeds that gain 1 and 3: 2 with Student's 12.706 of one degree."""
+    table, few = script("27_few/logs_table"), EXPERIMENTS / "27_few"
+    page = [cells(line) for line in (few / "logs.md").read_text().splitlines() if "|" in line]
+    rows = [cells(line) for line in table.table(table.SEEDS).splitlines()]
+    assert len(rows) == 11 and all(row in page for row in [rows[0], *rows[2:]])
+    head = "case,seed,sensors,iteration,log_seconds,return,fall_rate"
+    some = [
+        f"motors,{s},0.0,{i},80.0,{r},0.25"
+        for s, r in ((0, 31), (1, 33))
+        for i, r in ((0, 30), (15, r))
+    ]
+    (tmp_path / "a.csv").write_text("\n".join([head, *some, ""]))
+    row = cells(table.table(tmp_path / "a.csv").splitlines()[-1])
+    half = 12.706 * np.std([1, 3], ddof=1) / 2**0.5
+    assert row == [
+        *("motors", "80 s", "0.0", "2", "30.0, 25 %"),
+        f"32.0 (31.0 to 33.0), 25 %; +2.0 ± {half:.1f}",
+    ]
+
+
+def test_the_tables_of_few_robots_are_those_of_their_runs():
+    """Each line with returns is that of a job, by hand that of its name; no run on a CPU is left out,
+    and they ran what laptop.txt says, less what `few` was then."""
+    table, few = script("27_few/table"), EXPERIMENTS / "27_few"
+    page = {
+        name: [cells(line) for line in (few / f"{name}.md").read_text().splitlines() if "|" in line]
+        for name in ("README", "model", "history")
+    }
+
+    def told(path, at):
+        return [cells(line) for line in table.table(table.read(path), at).splitlines()[2:]]
+
+    on_cpu, jobs = told(few / "results", [17.4, 27.6, 43]), table.read(few / "results")
+    of_cpu = [row for row in page["history"] if len(row) == 8 and row[0][0] == "`"]
+    found = {row[0].strip("`"): row[2:] for row in of_cpu}
+    assert found == {row[0]: row[1:] for row in on_cpu} and len(jobs) >= 9
+    laptop = [line.split() for line in (few / "laptop.txt").read_text().splitlines()]
+    then = {"rollout.horizon=20", "schedule.end_steps=16", "model.minibatches=5"}
+    then.add("run.num_iterations=160")
+    assert {name: [f for f in job if f not in then] for name, *job in laptop if name in jobs} == {
+        name: rows[0]["job"].split() for name, rows in jobs.items()
+    }
+    packed = few / "results" / "gpu.csv.xz"
+    on_gpu = [tuple(row[2:8]) for row in told(packed, [10.0, 15.0, 20.0, 27.0, 43.0])]
+    fresh = [row[2:8] for row in page["README"] if len(row) == 9 and row[2].endswith("%")]
+    model, before = (
+        [row[1:7] for row in page[name] if len(row) == 7 and row[1].endswith("%")]
+        for name in ("model", "history")
+    )
+    never = ["never in 84 k" if "5 never" in row[-1] else row[-1] for row in on_gpu]
+    known = {(*row[:-1], last) for row, last in zip(on_gpu, never, strict=True)}
+    assert (len(fresh), len(model), len(before)) == (4, 17, 26)
+    assert {tuple(row) for row in fresh + model + before} <= known
+
+
+def first_of(batch, name):
+    """Thousand steps to the level, mean and last seed, as the pages have them."""
+    level = few_of(batch, name)[1].level / 1e3
+    return f"{level.mean():.1f} ({level.max():.1f})"
+
+
+def words_of_first(reached):
+    """The same of what `few_of` found, as a sentence has it."""
+    return (
+        f"{reached.level.mean() / 1e3:.1f} k steps (the last seed {reached.level.max() / 1e3:.1f})"
+    )
+
+
+def falls_of(batch, name, least=0.0, most=np.inf):
+    """Per cent of episodes with a fall in the last four evaluations, or in the four between these steps."""
+    seeds = few_of(batch, name)[0]
+    some = [[r["fall_rate"] for r in run if least <= r["sim_steps"] <= most][-4:] for run in seeds]
+    assert {len(run) for run in some} == {4} and {len(run) for run in seeds} != {4}
+    return 100 * np.mean(some)
+
+
+def test_how_many_few_robots_need_which_steps_is_as_the_page_says():
+    few, page = script("27_few/table"), (EXPERIMENTS / "27_few/README.md").read_text()
+    text = " ".join(page.split())
+    rows = {cells(line)[0]: cells(line)[1:] for line in page.splitlines() if "|" in line}
+    jobs = {f"{count}": ("robots-3", f"robots-{count}-") for count in (16, 256, 1024)}
+    jobs |= {"1": ("parts-2", "robots-1-"), "4": ("one-commit", "robots-4-")}
+    jobs |= {"64": ("late", "fresh-late-"), "1024, `best`": ("rows", "best-")}
+    for label, (batch, name) in jobs.items():
+        first, minutes, iterations, anymal = rows[label]
+        seeds, reached = few_of(batch, f"{name}g")
+        assert (first, anymal) == tuple(first_of(batch, f"{name}{x}") for x in "gc"), label
+        assert shows(minutes, reached.level.mean() / 3000)
+        at = few.runs.reached(seeds, few.level_of(seeds[0]), "iteration").level
+        assert shows(iterations, at.mean()), (label, at.mean())
+        held = {"64": range(970, 980), "1024, `best`": range(5)}.get(label, range(3))
+        for letter in "gc":
+            assert [run[0]["seed"] for run in few_of(batch, f"{name}{letter}")[0]] == [*held]
+    (go, go_at), (anymal, anymal_at) = (few_of("parts-2", f"robots-1-{x}") for x in "gc")
+    assert f"after {words_of_first(go_at)}, which is four robot-minutes and a third" in text
+    told = [1e2 * round(10 * float(rows[robots][0].split()[0])) for robots in ("1", "4", "16")]
+    assert (
+        "one Go1 is at the level after {:,.0f} steps, four are after {:,.0f}, sixteen".format(*told)
+        in text
+    )
+    assert f"sixteen after {told[2]:,.0f} (three seeds each)" in text
+    many = [1e2 * round(10 * float(rows[robots][0].split()[0])) for robots in ("256", "1024")]
+    assert "256 Go1 need {:,.0f}, 1024 need {:,.0f}.".format(*many) in text
+    last = (
+        f"an ANYmal-C after {anymal_at.level.mean() / 1e3:.1f} ({anymal_at.level.max() / 1e3:.1f})"
+    )
+    assert f"{last}, seven. All three ANYmal-C walk, from" in text
+    for words, of in (("4.33", go_at), ("6.9", anymal_at)):
+        assert shows(words, of.level.mean() / 3000)
+    first_walk, last_walk = anymal_at.walks.min() / 1e3, anymal_at.walks.max() / 1e3
+    assert f"from {first_walk:.0f} to {last_walk:.0f} k on. Of three Go1 one walks" in text
+    assert [int(x) for x in np.isnan(go_at.walks)] == [1, 0, 1]
+    assert f"one walks, from {go_at.walks[1] / 1e3:.0f} k on" in text
+    falls = [100 * r["fall_rate"] for r in go[2]]
+    assert f"falls in {falls[-2]:.1f} and {falls[-1]:.1f} % of its episodes in the last two" in text
+    assert (min(falls[-10:-2]), max(falls[-10:-2])) == (0.5, 1.0) and falls[-11] > 1
+    assert "after 0.5 to 1 % in the eight before" in text
+    finite = [r for r in go[0] if r["return"]]
+    ends = finite[-1]["sim_steps"] / 1e3, go[0][len(finite)]["sim_steps"] / 1e3
+    known = f"was at the level after {go_at.level[0] / 1e3:.1f} k, had returns of 42, and"
+    assert known in text and f"between {ends[0]:.0f} and {ends[1]:.0f} k" in text
+    known = " ".join((EXPERIMENTS / "27_few/model.md").read_text().split())
+    assert f"between {ends[0]:.0f} and {ends[1]:.0f} k. Up to then its return is 42" in known
+    late = [r for r in finite if r["sim_steps"] > 24.9e3]
+    assert "at most 1.5 % falls since 25 k" in known
+    assert max(r["fall_rate"] for r in late) == 0.015
+    assert {round(r["return"]) for r in late} == {42}
+    four = [few_of("one-commit", f"robots-4-{x}")[1] for x in "gc"]
+    level = [f"{one.level.mean() / 1e3:.1f}" for one in four]
+    last = [f"{one.level.max() / 1e3:.1f}" for one in four]
+    assert (
+        f"after {level[0]} k steps (the last seed {last[0]}), which is three robot-minutes" in text
+    )
+    assert f"and a quarter, ANYmal-C after {level[1]} ({last[1]}). All six walk." in text
+    assert shows("3.25", four[0].level.mean() / 3000)
+    assert np.isfinite([one.walks for one in four]).all()
+    walk = {
+        count: [few_of("robots-3", f"robots-{count}-{x}")[1].walks / 1e3 for x in "gc"]
+        for count in (16, 256, 1024)
+    }
+    told = f"Go1 walk, from {min(walk[16][0]):.0f} to {max(walk[16][0]):.0f} k on, and two ANYmal-C"
+    assert told in text and [np.isfinite(x).sum() for x in walk[16]] == [3, 2]
+    last = few_of("robots-3", "robots-16-c")[0][int(np.isnan(walk[16][1]).argmax())][-1]
+    assert f"the third falls in {100 * last['fall_rate']:.1f} % of its last episodes" in text
+    told = (
+        f"all walk, from {np.min(walk[256]):.0f} to {np.max(walk[256]):.0f} k on, as do five of six"
+    )
+    assert told in text and np.isfinite(walk[256]).all() and np.isfinite(walk[1024]).sum() == 5
+    told = f"from {np.nanmin(walk[1024]):.0f} to {np.nanmax(walk[1024]):.0f} k on"
+    assert told in text
+    saved = []
+    for x in "gc":
+        mine, best = (
+            few_of(*one)[1].level
+            for one in (("robots-3", f"robots-1024-{x}"), ("rows", f"best-{x}"))
+        )
+        ratio = stats.ratio(mine, best)
+        saved.append([100 * (1 - part) for part in (ratio.value, ratio.high, ratio.low)])
+    told = "{:.0f} % fewer than the `best` of the table on a Go1 ({:.0f} to {:.0f}) and {:.0f} % fewer on"
+    assert (told + " an ANYmal-C ({:.0f} to {:.0f})").format(*saved[0], *saved[1]) in text
+    begin = []
+    for robots, late in ((256, 53), (1024, 21)):
+        run = few_jobs("robots-3")[f"robots-{robots}-g"][0]["job"]
+        assert run.endswith(f" schedule.late_from={late}")
+        every = few_of("robots-3", f"robots-{robots}-g")[0][0][:2]
+        each = np.diff([[row[key] for row in every] for key in ("sim_steps", "iteration")], axis=1)
+        after = (late - every[0]["iteration"]) * each[0] / each[1]
+        begin.append((every[0]["sim_steps"] + after[0]) / 1e3)
+    assert "with 256 and 1024 robots these begin at {:.0f} and {:.0f} k".format(*begin) in text
+    memory = [
+        few_of("rows", f"best-{x}")[1].level.mean() / 1e3 for x in ("memory-g", "memory-c", "c")
+    ]
+    assert "(`best-memory`: {:.1f} k, ANYmal-C {:.1f} instead of {:.1f} k)".format(*memory) in text
+
+
+def test_what_anchors_are_worth_with_few_robots_is_as_the_page_says():
+    """The rule was written before: pairs of fresh seeds, walks, and one and four robots."""
+    page = (EXPERIMENTS / "27_few/README.md").read_text()
+    part = (EXPERIMENTS / "27_few/parts.md").read_text().split("## Without anchors")[1]
+    part = part.split("## Without smaller")[0]
+    words = " ".join(part.split())
+    few, rows = (
+        script("27_few/table"),
+        {cells(x)[0]: cells(x)[1:] for x in part.splitlines() if "|" in x},
+    )
+    names = {"Go1": "g", "Go2": "h", "ANYmal-C": "c", "ANYmal-D": "d"}
+    pairs, walk = [], [0, 0]
+    for robot, letter in names.items():
+        told = few.line(
+            "",
+            few.runs.seeds(few_jobs("anchors")[f"fresh-anchors-{letter}"]),
+            [10.0, 15.0, 20.0, 27.0, 43.0],
+        )
+        assert rows[robot] == told[1][1:]
+        (with_seeds, with_), (seeds, without) = (
+            few_of(batch, f"{name}-{letter}")
+            for batch, name in (("feet", "fresh"), ("anchors", "fresh-anchors"))
+        )
+        assert [run[0]["seed"] for run in seeds] == [run[0]["seed"] for run in with_seeds]
+        pairs.extend((without.level - with_.level) / 1e3)
+        walk = [n + np.isfinite(x.walks).sum() for n, x in zip(walk, (without, with_), strict=True)]
+    mean, p = np.mean(pairs), scipy.stats.ttest_1samp(pairs, 0).pvalue
+    half = scipy.stats.t.ppf(0.975, 29) * np.std(pairs, ddof=1) / 30**0.5
+    told = f"{mean:.1f} k steps later without anchors (95 % from {half - mean:.1f} sooner"
+    told += f" to {mean + half:.1f} later, p {p:.2f})"
+    assert f"{told}, so its end is not below 1.5 k" in words and mean + half > 1.5
+    some = np.array(pairs[:10])
+    half = scipy.stats.t.ppf(0.975, 9) * some.std(ddof=1) / 10**0.5
+    text = "on Go1 alone {:.1f} k later ({:.1f} to {:.1f}, uncorrected)"
+    assert text.format(some.mean(), some.mean() - half, some.mean() + half) in words
+    assert f"on Go2 {-np.mean(pairs[10:15]):.1f} k sooner" in words
+    assert f"{walk[0]} of 30 seeds walk, with anchors {walk[1]}." in words
+
+    def level(name, letter):
+        batch = {"robots-1": "parts-2", "robots-4": "one-commit"}.get(name, "robots-2")
+        return few_of(batch, f"{name}-{letter}")[1].level / 1e3
+
+    free, mine = level("free-robots-1", "c"), level("robots-1", "c")
+    more = "{:.1f} k more, {:.1f} to {:.1f}".format(*stats.difference(free, mine))
+    assert f"{free.mean():.1f} instead of {mine.mean():.1f} k steps ({more})" in words.replace(
+        "k  m", "k m"
+    )
+    free, mine = level("free-robots-1", "g"), level("robots-1", "g")
+    assert stats.difference(free, mine).low < 0
+    assert f"shown, {free.mean():.1f} and {mine.mean():.1f} k" in words
+    free, mine = level("free-robots-4", "c"), level("robots-4", "c")
+    assert np.isnan(free).sum() == 1
+    assert (
+        f"after {np.nanmean(free):.1f} k, with anchors all three after {mine.mean():.1f}" in words
+    )
+    free, mine = level("free-robots-4", "g"), level("robots-4", "g")
+    assert f"Go1: {free.mean():.1f} and {mine.mean():.1f} k" in words
+    bound = [few_of("robots-2", f"bound50-robots-1-{x}")[1] for x in "gc"]
+    text, ranges = " ".join(page.split()), [(x.walks / 1e3).round() for x in bound]
+    told = "Go1 from {:.0f} to {:.0f} k on and ANYmal-C from {:.0f} to {:.0f} k on"
+    assert told.format(*(f(x) for x in ranges for f in (min, max))) in text
+    told = [
+        words_of_first(bound[0]),
+        "{:.1f} ({:.1f})".format(*(f(bound[1].level) / 1e3 for f in (np.mean, max))),
+    ]
+    assert "To the level they need {} and {}".format(*told) in text
+    for x, of in zip("gc", bound, strict=True):
+        assert stats.difference(of.level / 1e3, level("robots-1", x)).low < 0
+        seeds = few_of("robots-2", f"bound50-robots-1-{x}")[0]
+        assert [run[0]["seed"] for run in seeds] == [0, 1, 2] and all(
+            run[-1]["return"] > 20 for run in seeds
+        )
+
+
+PARTS_OF_FEW = {  # what parts.md takes out -> its job
+    "nothing: `few`": "whole",
+    "imagined robots: 1 for each real one, not 64": "imagined1",
+    "remembered rows in the fit": "remembered",
+    "a memory": "memory",
+    "rounds: 1, not 3 (so no anchors and no new commands)": "rounds1",
+    "a symmetric model": "symmetry",
+    "anchors: tails begin in rows of the iteration": "anchors",
+    "old rows: only a robot's newest 100 are kept": "age100",
+    "new commands": "commands",
+    "smaller steps late (half of the KL)": "late",
+}
+OTHER_VALUES = {  # of a part, in parts.md -> its job
+    "16 imagined robots for each real one, not 64": "part-imagined16",
+    "4 real rows an iteration, not 2": "part-rows4",
+    "tails of 16 rows, not 24": "part-tail16",
+    "15 remembered rows beside each new one, not 3": "part-remembered15",
+    "a weight decay of 0.01 in the model": "part-decay",
+    "`spread`: a robot's commands follow each other evenly": "control-spread",
+}
+
+
+def batch_of_part(part, robot):
+    """The batch of a cell of parts.md, as the page says."""
+    if part == "age100":
+        return "age"
+    if part not in ("whole", "memory", "commands", "late"):
+        return "parts-2"
+    if robot in "gc":
+        return "parts-cut"
+    return "parts-3" if part in ("commands", "late") else "one-commit"
+
+
+def when_nan(batch, name):
+    """Thousand steps of the evaluation from which on all episodes of a seed are falls at no return; NaN."""
+    seeds = few_of(batch, name)[0]
+    bad = [
+        [r["sim_steps"] for r in run if r["fall_rate"] == 1 and r["return"] == 0] for run in seeds
+    ]
+    return np.array([one[0] / 1e3 if one else np.nan for one in bad])
+
+
+def test_the_table_of_the_parts_of_few_is_that_of_its_runs():
+    """A cell: thousand steps to the level, falls, how many walk; where a policy became NaN, how many did."""
+    page = (EXPERIMENTS / "27_few/parts.md").read_text()
+    lines = page.split("## Other values")[0].splitlines()
+    rows = {cells(line)[0]: cells(line)[1:] for line in lines if "|" in line}
+    robots = rows.pop("without")
+    rows.pop("---")
+    assert robots == ["Go1", "Go2", "ANYmal-C", "ANYmal-D"] and rows.keys() == PARTS_OF_FEW.keys()
+    for label, part in PARTS_OF_FEW.items():
+        for robot, cell in zip("ghcd", rows[label], strict=True):
+            batch, name = batch_of_part(part, robot), f"part-{part}-{robot}"
+            cut = cell.endswith(" \\*")
+            assert cut == (batch == "parts-cut")
+            when, falls, walk = cell.removesuffix(" \\*").split("; ")
+            seeds, reached = few_of(batch, name)
+            assert [run[0]["seed"] for run in seeds] == [*range(5)], name
+            ends = {run[-1]["sim_steps"] for run in seeds}
+            assert ends == {44032} or (cut and 33.5e3 < min(ends) and max(ends) < 39e3)
+            level = reached.level[np.isfinite(reached.level)] / 1e3
+            told = [f"{level.mean():.1f} ({level.max():.1f})"] if len(level) else []
+            told += [f"{5 - len(level)} never"] if len(level) < 5 else []
+            assert when == ", ".join(told), (name, told)
+            assert walk == str(np.isfinite(reached.walks).sum()), name
+            if bad := int(np.isfinite(when_nan(batch, name)).sum()):
+                assert falls == f"{bad} NaN", name
+            else:
+                least, most = (26e3, 34.2e3) if cut else (0, np.inf)
+                assert shows(falls.removesuffix(" %"), falls_of(batch, name, least, most)), name
+
+
+def test_what_the_parts_of_few_are_worth_is_as_the_page_says():
+    """What parts.md says of its first table, and what took the last falls away, of how many of five walk."""
+    page = (EXPERIMENTS / "27_few/parts.md").read_text()
+    one, last = page.split("## Without anchors")[0].split("## What takes the last falls away")
+    one = one.split("## Other values")[0]
+    ends = {cells(line)[0]: cells(line)[1:] for line in last.splitlines() if "|" in line}
+    words = " ".join(one.split())
+
+    def level(part, robot):
+        return few_of(batch_of_part(part, robot), f"part-{part}-{robot}")[1].level / 1e3
+
+    def falls(part, robot):
+        return falls_of(batch_of_part(part, robot), f"part-{part}-{robot}", 26e3, 34.2e3)
+
+    found = {
+        part: [np.nan_to_num(level(part, x), nan=np.inf) - level("whole", x) for x in "ghcd"]
+        for part in ("imagined1", "remembered", "rounds1", "symmetry", "anchors")
+    }
+    later = {part: np.sum(np.concatenate(one) > 0.01) for part, one in found.items()}
+    assert "1 of 20 runs is at the level by 44 k" in words
+    assert sum(np.isfinite(level("imagined1", x)).sum() for x in "ghcd") == 1
+    assert later["remembered"] == 20 and "all 20 runs are later" in words
+    assert later["symmetry"] == 18 and "in 18 of 20 pairs" in words
+    assert all(level("remembered", x).mean() > level("memory", x).mean() for x in "gh")
+    saved = [one.mean() for one in found["rounds1"]]
+    assert f"**Rounds** save {min(saved):.0f} to {max(saved):.0f} k steps" in words
+    anchors = np.concatenate(found["anchors"])
+    half = scipy.stats.t.ppf(0.975, 19) * anchors.std(ddof=1) / 20**0.5
+    told = (
+        f"the level comes {-anchors.mean():.1f} k steps sooner, in the mean of 20 pairs of equal seeds"
+        f" (95 % from {half - anchors.mean():.1f} sooner to {anchors.mean() + half:.1f} later,"
+        f" p {scipy.stats.ttest_1samp(anchors, 0).pvalue:.2f};"
+        f" {np.sum(anchors < -0.01)} sooner, {np.sum(abs(anchors) < 0.01)} the same,"
+        f" {later['anchors']} later)"
+    )
+    assert told in words
+    spread = sum(level(part, x).var(ddof=1) / 5 for part in ("whole", "anchors") for x in "ghcd")
+    half = scipy.stats.t.ppf(0.975, 32) * spread**0.5 / 4
+    told = f"it is {half - anchors.mean():.1f} sooner to {anchors.mean() + half:.1f} later"
+    assert f"Unpaired, within robots, {told}" in words
+    ten = np.concatenate(found["anchors"][2:])
+    told = (
+        f"it is {-ten.mean():.1f} k sooner (C {-ten[:5].mean():.1f}, D {-ten[5:].mean():.1f}; of pairs"
+        f" p {scipy.stats.ttest_1samp(ten, 0).pvalue:.3f}, seen afterwards; unpaired it is shown on neither)"
+    )
+    assert told in words
+    for one in "cd":
+        assert scipy.stats.ttest_ind(level("whole", one), level("anchors", one)).pvalue > 0.05
+    told = f"{few_of('one-commit', 'bound50-few-c')[1].level.mean() / 1e3:.1f} instead of"
+    assert f"{told} {level('whole', 'c').mean():.1f} k, too" in words
+    for part, told in (
+        ("anchors", "From 26 to 34 k falls are {}, {}, {} and {} %, with anchors"),
+        ("whole", "with anchors {}, {}, {} and {}."),
+    ):
+        told = re.search(re.escape(told).replace(r"\{\}", r"([\d.]+)"), words)
+        assert told is not None
+        assert all(shows(x, falls(part, y)) for x, y in zip(told.groups(), "ghcd", strict=True))
+    lost = [when_nan("parts-2", f"part-remembered-{x}") for x in "cdh"]
+    lost = [f"{np.nanmin(one):.0f} to {np.nanmax(one):.0f} k" for one in lost]
+    told = f"at evaluations from {lost[0]} (ANYmal-C), {lost[1]} (ANYmal-D) and {lost[2]} (Go2) on"
+    assert told in words
+    gone = when_nan("one-commit", "part-memory-d")
+    assert f"Five ANYmal-D: at evaluations from {min(gone):.0f} to {max(gone):.0f} k on" in words
+    gone = [f"{k:.0f}" for k in when_nan("parts-cut", "part-memory-c")]
+    assert [gone.count(k) for k in ("16", "24", "29")] == [1, 3, 1]
+    assert "between 13 and 16 k (one), 21 and 24 k (three) and 26 and 29 k (one)" in words
+    names = {
+        "nothing (batch `wide`, tails of 16, at 45 to 53 k)": "i64rows2",
+        "new commands, half of the KL after 160 iterations, as until 2026-11-28": "commands-late",
+        "new commands": "end-commands",
+        "five rounds, half of the KL": "end-rounds5late",
+        "five rounds": "end-rounds5",
+        "KL 0.03": "end-kl3",
+        "entropy 0.005": "end-entropy5",
+        "32 robots, 128 imagined": "end-robots32",
+        "256 imagined": "end-imagined256",
+        "half of the KL after 160 iterations": "end-late",
+        "a quarter of the KL": "end-late4",
+        "4 real rows, tails of 32": "end-rows4tail32",
+        "episodes of 5 s": "end-episode250",
+    }
+    assert ends.keys() - {"`few` without new commands, and", "---"} == names.keys()
+    for label, name in names.items():
+        for letter, cell in zip("gc", ends[label], strict=True):
+            job = "wide" if name == "i64rows2" else "end", f"{name}-{letter}"
+            walk = [np.isfinite(few_of(*job)[1].walks).sum()] if job[0] == "end" else []
+            assert shows(cell, falls_of(*job), *walk), (job, cell)
+    text = " ".join(last.split())
+    assert f"({few_of('end', 'end-rounds5-g')[1].level.mean() / 1e3:.1f} k on Go1)" in text
+    best = [
+        few_of("best-commands", f"best-{name}-{x}")[1].level.mean() / 1e3
+        for x in "gc"
+        for name in ("commands", "now")
+    ]
+    assert "{:.0f} instead of {:.0f} k (Go1) and {:.0f} instead of {:.0f} k".format(*best) in text
+
+
+def around_of_pairs(pairs, robots=()):
+    """Mean of differences, half of its 95 % interval and p; with `robots`, pairs of lists of seeds, those of
+    the unpaired interval within robots."""
+    pairs, n = np.asarray(pairs), len(pairs)
+    df, error = n - 1, pairs.std(ddof=1) / n**0.5
+    if robots:
+        error = sum((np.var(x, ddof=1) + np.var(y, ddof=1)) / 5 for x, y in robots) ** 0.5 / 4
+        df = 32
+    p = 2 * scipy.stats.t.sf(abs(pairs.mean()) / error, df)
+    return pairs.mean(), scipy.stats.t.ppf(0.975, df) * error, p
+
+
+def test_other_values_of_the_parts_of_few_are_as_the_page_says():
+    """The table, and pairs of equal seeds over four robots, of twelve tests by Holm."""
+    page = (EXPERIMENTS / "27_few/parts.md").read_text()
+    part = page.split("## Other values")[1].split("## What takes the last falls away")[0]
+    words = " ".join(part.split())
+    rows = {cells(line)[0]: cells(line)[1:] for line in part.splitlines() if "|" in line}
+    assert rows.keys() - {"`few` with", "---"} == OTHER_VALUES.keys()
+    tests = {}
+    for label, name in OTHER_VALUES.items():
+        batch, pairs = (
+            "spread" if name.startswith("control") else "parts-4",
+            {"level": [], "falls": []},
+        )
+        for robot, cell in zip("ghcd", rows[label], strict=True):
+            job = batch, f"{name}-{robot}"
+            seeds, reached = few_of(*job)
+            assert [run[0]["seed"] for run in seeds] == [*range(5)] and seeds[0][-1][
+                "sim_steps"
+            ] > 42.9e3
+            when, falls, walk = cell.split("; ")
+            assert when == first_of(*job) and shows(falls.removesuffix(" %"), falls_of(*job))
+            assert walk == str(np.isfinite(reached.walks).sum())
+            whole = batch_of_part("whole", robot), f"part-whole-{robot}"
+            pairs["level"].extend((reached.level - few_of(*whole)[1].level) / 1e3)
+            mine, other = (
+                [
+                    np.mean([r["fall_rate"] for r in run if 26e3 <= r["sim_steps"] <= 34.2e3][-4:])
+                    for run in few_of(*one)[0]
+                ]
+                for one in (job, whole)
+            )
+            pairs["falls"].extend(100 * (np.array(mine) - other))
+        tests |= {(name, what): around_of_pairs(some) for what, some in pairs.items()}
+    holm = dict(zip(tests, stats.holm([p for *_, p in tests.values()]), strict=True))
+    assert [key for key, p in holm.items() if p < 0.05] == [("part-imagined16", "level")]
+    mean, half, p = tests["part-imagined16", "level"]
+    told = f"comes {mean:.1f} k steps later, in the mean of 20 pairs of equal seeds (95 % from"
+    told += f" {mean - half:.1f} to {mean + half:.1f} later, p {p:.4f};"
+    assert f"{told} {holm['part-imagined16', 'level']:.3f} by Holm" in words
+    means = {
+        what: [mean for (name, of), (mean, *_) in tests.items() if of == what and name[-2:] != "16"]
+        + [tests["part-tail16", what][0]]
+        for what in ("level", "falls")
+    }
+    told = "to the level {:.1f} k sooner (decay, `spread`) to {:.1f} k later (15 remembered"
+    assert told.format(-min(means["level"]), max(means["level"])) in words
+    told = "falls {:.1f} points fewer (`spread`) to {:.1f} more (15 remembered rows, where one"
+    assert told.format(-min(means["falls"]), max(means["falls"])) in words
+    mean, half, _ = tests["part-remembered15", "falls"]
+    assert f"{half - mean:.1f} fewer to {mean + half:.1f} more)" in words
+    assert min(means["level"]) == tests["part-decay", "level"][0]
+    assert all(f"{tests[x, 'level'][0]:.1f}" == "-0.6" for x in ("part-decay", "control-spread"))
+    walk = [few_of("spread", f"control-spread-{x}")[1].walks for x in "ghcd"]
+    assert np.isfinite(walk).all() and "alone has all 20 seeds walking" in words
+    assert all(line.count("; 5 |") < 4 for line in part.splitlines() if "spread" not in line)
+
+
+def test_why_smaller_steps_late_have_gone_from_few_is_as_the_page_says():
+    """The rule was written before: pairs of fresh seeds, falls at their end and walks."""
+    page = (EXPERIMENTS / "27_few/parts.md").read_text().split("## Without smaller steps late")[1]
+    text = (EXPERIMENTS / "27_few/README.md").read_text()
+    words, few = " ".join(page.split()), script("27_few/table")
+    words_of_part = words
+    names = {"Go1": "g", "Go2": "h", "ANYmal-C": "c", "ANYmal-D": "d"}
+    fewer, later, walk, both, told_of = [], [], [[], []], [], []
+    for of, batch, name in (
+        (page, "feet", "fresh"),
+        (text.split("## Fresh seeds")[1], "late", "fresh-late"),
+    ):
+        rows = {cells(x)[0]: cells(x)[1:] for x in of.splitlines()[:25] if "|" in x}
+        for robot, letter in names.items():
+            seeds = few_of(batch, f"{name}-{letter}")[0]
+            assert rows[robot] == few.line("", seeds, [10.0, 15.0, 20.0, 27.0, 43.0])[1][1:]
+    for letter in "ghcd":
+        (with_seeds, with_), (seeds, without) = (
+            few_of(*job) for job in (("feet", f"fresh-{letter}"), ("late", f"fresh-late-{letter}"))
+        )
+        assert [run[0]["seed"] for run in seeds] == [run[0]["seed"] for run in with_seeds]
+        ends = [
+            100 * np.mean([[r["fall_rate"] for r in run[-4:]] for run in some], 1)
+            for some in (seeds, with_seeds)
+        ]
+        fewer.extend(ends[0] - ends[1])
+        told_of.append(ends[0].mean())
+        later.extend((without.level - with_.level) / 1e3)
+        both.append(np.mean([*without.level, *with_.level]) / 1e3)
+        for counts, one in zip(walk, (without, with_), strict=True):
+            counts.append(int(np.isfinite(one.walks).sum()))
+    mean, half, p = around_of_pairs(fewer)
+    assert mean + half < 0.3 and sum(walk[0]) >= sum(walk[1]) - 1  # the rule
+    told = f"{-mean:.2f} points fewer without it (95 % from {half - mean:.2f} fewer to {mean + half:.2f}"
+    assert (
+        f"{told} more, p {p:.2f}), and {sum(walk[0])} instead of {sum(walk[1])} seeds walk" in words
+    )
+    assert walk == [[9, 5, 10, 4], [10, 3, 9, 5]]
+    mean, half, p = around_of_pairs(later)
+    told = f"{mean:.1f} k steps later without it ({half - mean:.1f} sooner to"
+    assert f"{told} {mean + half:.1f} later, p {p:.2f})" in words
+    walk = [np.isfinite(few_of("commands", f"few-940-{x}")[1].walks).sum() for x in "ghcd"]
+    assert f"{sum(walk)} of 30 other seeds walked without it" in words
+    text = " ".join(text.split())
+    told = "In the last four evaluations {:.1f}, {:.1f}, {:.1f} and {:.1f} % of the episodes have a fall"
+    assert told.format(*told_of) in text
+    assert "Over both it is {:.1f}, {:.1f}, {:.1f} and {:.1f} k".format(*both) in text
+    hundreds = [100 * round(10 * both[k]) for k in (0, 2)]
+    assert "same settings and seeds it is {:,.0f} and {:,.0f}.".format(*hundreds) in text
+    mean, half, _ = around_of_pairs(fewer)
+    assert f"worth at most {mean + half:.2f} points of falls (95 %), where 0.3 was allowed" in text
+    mean, half, _ = around_of_pairs(later[:10])
+    told = f"on Go1 alone {mean:.1f} k ({half - mean:.1f} sooner to {mean + half:.1f} later)"
+    assert told in words_of_part
+    at = [few_of("late", f"fresh-late-{x}")[1].walks / 1e3 for x in "ghcd"]
+    told = (
+        "from {:.0f} to {:.0f} k on (means: Go1 {:.0f} k, Go2 {:.0f} k, ANYmal-C {:.0f} k, ANYmal-D"
+    )
+    told += " {:.0f} k)"
+    every = np.concatenate(at)
+    assert told.format(np.nanmin(every), np.nanmax(every), *map(np.nanmean, at)) in text
+    level = [few_of("late", f"fresh-late-{x}")[1].level for x in "gc"]
+    words = "64 Go1 need {:,.0f} simulator steps (mean of ten fresh seeds; the last {:,.0f}), 64 ANYmal-C"
+    words += " {:,.0f} (the last {:,.0f})."
+    hundreds = [100 * round(f(x) / 100) for x in level for f in (np.mean, np.max)]
+    assert words.format(*hundreds) in text
+    last = [
+        100 * run[-1]["fall_rate"]
+        for x in "gd"
+        for run, at in zip(
+            *few_of("late", f"fresh-late-{x}")[:1],
+            few_of("late", f"fresh-late-{x}")[1].walks,
+            strict=True,
+        )
+        if np.isnan(at)
+    ]
+    assert len(last) == 2
+    assert "fall in {:.1f} and {:.1f} % of their last episodes".format(*last) in text
+
+
+def test_what_the_other_parts_of_few_are_worth_is_as_the_page_says():
+    """Old rows, new commands, smaller steps late: pairs of equal seeds over four robots, and falls of the
+    four evaluations from 26 to 34 k, which all have."""
+    page = (EXPERIMENTS / "27_few/parts.md").read_text()
+    words = " ".join(page.split("## Other values")[0].split())
+
+    def seeds(part, robot, least=26e3, most=34.2e3):
+        runs = few_of(batch_of_part(part, robot), f"part-{part}-{robot}")[0]
+        some = [
+            [r["fall_rate"] for r in run if least <= r["sim_steps"] <= most][-4:] for run in runs
+        ]
+        return 100 * np.mean(some, 1)
+
+    def level(part, robot):
+        got = few_of(batch_of_part(part, robot), f"part-{part}-{robot}")[1].level / 1e3
+        return np.where(np.isnan(got), 44.032, got)
+
+    parts, tests = ("age100", "commands", "late"), {}
+    for part in parts:
+        for of in (level, seeds):
+            pairs = np.concatenate([of(part, x) - of("whole", x) for x in "ghcd"])
+            tests[part, of] = around_of_pairs(pairs)
+    holm = dict(zip(tests, stats.holm([p for *_, p in tests.values()]), strict=True))
+    assert [key for key, p in holm.items() if p < 0.05] == [("commands", seeds)]
+
+    def sooner(mean, half):
+        return f"({half - mean:.1f} sooner to {mean + half:.1f} later)"
+
+    mean, half, p = tests["commands", seeds]
+    told = f"falls are {mean:.1f} points more without them, in the mean of 20 pairs of equal"
+    told += f" seeds (95 % from {mean - half:.1f} to {mean + half:.1f} more, p {p:.3f})"
+    assert f"From 26 to 34 k {told}." in words
+    assert f"the one below, p is {holm['commands', seeds]:.3f}." in words
+    text = " ".join((EXPERIMENTS / "27_few/README.md").read_text().split())
+    assert f"(without them falls are {mean:.1f} points more, over the four)" in text
+    assert (
+        "no difference to the level is shown for 19 of 20 seeds. One ANYmal-C is not there" in text
+    )
+    robots = [(seeds("commands", x), seeds("whole", x)) for x in "ghcd"]
+    _, half, p = around_of_pairs(np.concatenate([x - y for x, y in robots]), robots)
+    assert p < 0.05 and f"it is {mean - half:.1f} to {mean + half:.1f} more. Each robot" in words
+    told = re.search(r"Each robot falls more, in (.+?) instead of (.+?), but on none", words)
+    for text, column in zip(told.groups(), zip(*robots, strict=True), strict=True):
+        assert shows(text, *(np.mean(x) for x in column))
+    assert all(np.mean(x) > np.mean(y) and stats.welch_of(x, y) > 0.05 for x, y in robots)
+    new = [seeds("commands", x, 0, np.inf) - seeds("whole", x, 0, np.inf) for x in "hd"]
+    mean, half, _ = around_of_pairs(np.concatenate(new))
+    told = f"evaluations {mean:.1f} points more (ten pairs, {half - mean:.1f} fewer to"
+    told += f" {mean + half:.1f} more)"
+    assert told in words
+    mean, half, _ = tests["commands", level]
+    assert f"{-mean:.1f} k steps sooner without {sooner(mean, half)}" in words
+
+    mean, half, p = tests["late", seeds]
+    told = f"falls are {-mean:.1f} points fewer without them (20 pairs, {half - mean:.1f} fewer"
+    assert f"{told} to {mean + half:.1f} more, p {p:.2f})" in words
+    steps = schedule.sim_steps(config_lib.validate(config_lib.load("configs/go1.py:few")))
+    assert f"began at {steps[160 - 1] / 1e3:.1f} k" in words
+    ends = {
+        (part, x): [seeds(part, x, 0, np.inf), seeds("whole", x, 0, np.inf)]
+        for part in parts
+        for x in "hd"
+    }
+    corrected = dict(
+        zip(ends, stats.holm([stats.welch_of(*pair) for pair in ends.values()]), strict=True)
+    )
+    got = stats.difference(*ends["late", "d"])
+    told = f"({-got.high:.1f} to {-got.low:.1f} fewer, Welch's p {stats.welch_of(*ends['late', 'd']):.3f},"
+    assert f"{told} {corrected['late', 'd']:.3f} by Holm of six such, seen afterwards)" in words
+    got = stats.difference(*ends["late", "h"])
+    assert f"({-got.low:.1f} fewer to {got.high:.1f} more). But fresh" in words
+    told = re.search(r"ANYmal-D has ([\d.]+) instead of ([\d.]+) % without", words).groups()
+    told += re.search(r"Go2 ([\d.]+) instead of ([\d.]+) \(", words).groups()
+    means = [np.mean(x) for robot in "dh" for x in ends["late", robot]]
+    assert all(shows(x, mean) for x, mean in zip(told, means, strict=True))
+    assert f"*with* them have {falls_of('feet', 'fresh-d'):.1f} %, too" in words
+    for robot in "ghcd":
+        some = seeds("late", robot), seeds("whole", robot)
+        assert stats.welch_of(*some) > 0.05 and np.mean(some[0]) < np.mean(some[1])
+
+    mean, half, _ = tests["age100", level]
+    assert f"it is {mean:.1f} k later {sooner(mean, half)}" in words
+    raw = np.concatenate([few_of("age", f"part-age100-{x}")[1].level / 1e3 for x in "ghcd"])
+    pairs = raw - np.concatenate([level("whole", x) for x in "ghcd"])
+    assert np.isnan(pairs).nonzero()[0].tolist() == [10]
+    mean, half, _ = around_of_pairs(pairs[np.isfinite(pairs)])
+    told = (
+        f"19 of 20 runs get to the level, {-mean:.1f} k steps sooner than the run of the same seed"
+    )
+    told += " (95 % from"
+    assert f"{told} {half - mean:.1f} sooner to {mean + half:.1f} later)" in words
+    mean, half, _ = tests["age100", seeds]
+    told = f"in the mean {mean:.1f} points more than with all rows ({half - mean:.1f} fewer"
+    assert f"{told} to {mean + half:.1f} more)" in words
+    told = re.search(r"From 26 to 34 k ([^%]+) % of the episodes have a fall, in the mean", words)
+    assert shows(told[1], *(np.mean(seeds("age100", x)) for x in "ghcd"))
+    runs = {
+        (x, i): run for x in "ghcd" for i, run in enumerate(few_of("age", f"part-age100-{x}")[0])
+    }
+    lost = {  # where all but one in a hundred fall
+        key: [r["sim_steps"] / 1e3 for r in run if r["fall_rate"] >= 0.99 and r["sim_steps"] > 1e4]
+        for key, run in runs.items()
+    }
+    lost = {key: [f"{k:.0f}" for k in at] for key, at in lost.items() if at}
+    assert lost == {
+        ("g", 4): ["11", "13", "16"],
+        ("c", 0): ["13", "16", "18", "21", "34", "36", "39"],
+    }
+    assert (
+        "two runs fall in 99 % of their episodes or more for a while: a Go1 from 11 to 16 k"
+        in words
+    )
+    assert "the twentieth, an ANYmal-C, from 13 to 21 k and from 34 to 39 k. It is" in words
+    last = few_of("age", "part-age100-c")[0][0][-1]["return"]
+    assert shows(re.search(r"is at ([\d.]+) at the end, just below", words)[1], last)
+    others = [
+        run
+        for x in "ghcd"
+        for job in ((batch_of_part("whole", x), f"part-whole-{x}"), ("feet", f"fresh-{x}"))
+        for run in few_of(*job)[0]
+    ]
+    mine, its = (
+        np.array([max(r["fall_rate"] for r in run if r["sim_steps"] > 15e3) for run in some])
+        for some in (runs.values(), others)
+    )
+    assert (len(its), max(its)) == (50, 0.12) and "at most 12 % in each of 50 runs" in words
+    assert [np.sum(x > 0.9) for x in (mine, its)] == [2, 0]
+    fisher = scipy.stats.fisher_exact([[2, 18], [0, 50]])[1]
+    assert (
+        f"(2 of 20 and 0 of 50 have more than 90: Fisher's p {fisher:.2f}, seen afterwards)"
+        in words
+    )

@@ -1,0 +1,768 @@
+"""21_less and what many pages have of it: the headline, falls, PPO tuned."""
+
+import csv
+import lzma
+import re
+import sys
+
+import numpy as np
+import pytest
+from result_files import EXPERIMENTS, LESS, LETTERS, ROOT, cells, less, script
+
+from dynappo import config as config_lib
+from dynappo import schedule
+from experiments import paper, stats
+
+
+@pytest.mark.parametrize(
+    "path", ["21_less/ppo_grid.txt", "21_less/ppo_others.txt", "23_untuned/ppo.txt"]
+)
+def test_jobs_that_tune_ppo_are_valid_plain_ppo_of_their_names(path, monkeypatch):
+    """No model writes a row; robots and KL are those of the name; seeds are not the fresh ones."""
+    monkeypatch.chdir((EXPERIMENTS / path).parent)
+    names = set()
+    for line in (EXPERIMENTS / path).read_text().splitlines():
+        name, job, *fields = line.split()
+        robot, _, variant = job.partition(":")
+        config = config_lib.load(f"configs/{robot}.py:{variant}")
+        for field in fields:
+            config_lib.override(config, *field.split("=", 1))
+        config = config_lib.validate(config)
+        assert not schedule.uses_model(config) and config.run.seed == 0
+        assert f"-{config.rollout.num_envs}-" in f"{name}-" and name not in names
+        if "-kl" in name:
+            assert f"kl{round(100 * config.ppo.desired_kl)}" in name
+        assert len(schedule.sim_steps(config)) % config.run.eval_every == 0
+        names.add(name)
+    assert len(names) >= 8
+
+
+def test_the_table_of_ppos_grid_is_that_of_its_runs():
+    """Every setting of ppo_grid.txt is a cell of each robot; the best of each ran on fresh seeds."""
+    choose, (table, _) = script("21_less/choose"), less("ppo")
+    jobs = table.read(LESS / "results/ppo.csv.xz", "5")
+    part = (LESS / "ppo.md").read_text().split("## The grid\n")[1].split("\n## ")[0]
+    rows = [cells(line) for line in part.splitlines() if line.startswith("| ")]
+    assert rows[0] == ["PPO", *LETTERS]
+    names = (
+        "64-kl3 128-kl2 128-kl3 128-kl3-gamma98 128-kl4 128-kl5 256-kl3 256-kl3-gamma98 256-kl3-lam95 "
+        "256-kl3-ep10 256-kl3-mb8 256-kl4 512-kl3 512-kl5"
+    ).split()
+    asked = {line.split()[0] for line in (LESS / "ppo_grid.txt").read_text().splitlines()}
+    assert {f"grid-{name}-{x}" for name in names for x in "ghcd"} == asked == jobs.keys()
+    best = {x: min(names, key=lambda n, x=x: choose.cost(jobs[f"grid-{n}-{x}"])) for x in "ghcd"}
+    level = {}
+    for name, row in zip(names, rows[1:], strict=True):
+        robots, kl = name.split("-")[:2]
+        assert row[0].startswith("the same") or row[0] == f"{robots} robots, KL 0.0{kl[2:]}"
+        for letter, cell in zip("ghcd", row[1:], strict=True):
+            job = jobs[f"grid-{name}-{letter}"]
+            found = table.reached(table.seeds(job), table.walks.level(table.best(job)))
+            steps = f"{choose.cost(job) / 1e6:.2f}"
+            assert cell == f"{steps}; {table.steps_of(found.level)}", (name, letter)
+            bold = f"**{steps}**; {table.steps_of(found.level)}"
+            assert (bold in part) == (best[letter] == name)
+            level.setdefault(letter, {})[name] = choose.cost(job, "level") / 1e6
+    _, head = less("headline")
+    for letter, name in best.items():  # what ran on fresh seeds is what was chosen
+        same = {
+            "rollout.num_envs",
+            "ppo.gamma",
+            "ppo.lambda_",
+            "ppo.desired_kl",
+            "schedule.late_from",
+        }
+        fields = [
+            {f for f in job[0]["job"].split() if f.split("=")[0] in same}
+            for job in (jobs[f"grid-{name}-{letter}"], head[f"ppo-walk-{letter}"])
+        ]
+        assert fields[0] == fields[1] and len(fields[0]) == 5
+        soon = min(level[letter], key=level[letter].__getitem__)
+        fields = [
+            {f for f in job[0]["job"].split() if f.split("=")[0] in same}
+            for job in (jobs[f"grid-{soon}-{letter}"], head[f"ppo-level-{letter}"])
+        ]
+        assert fields[0] == fields[1]
+    words = " ".join(part.split())
+    soonest = [min(some.values()) for some in level.values()]
+    text = "need {:.2f} (128 robots, KL 0.04), {:.2f} (KL 0.03), {:.2f} and {:.2f} (KL 0.05)"
+    assert text.format(*soonest) in words
+    fresh = [ours_of(f"ppo-level-{x}") for x in "ghcd"]
+    text = "need {:.2f}, {:.2f}, {:.2f} and {:.2f} M"
+    means = [x.level.mean() / 1e6 for x in fresh]
+    assert f"seeds (1300 to 1309) {text.format(*means)}. So" in words
+    assert text.replace("need", "needs").format(*means) in " ".join(
+        (LESS / "README.md").read_text().split()
+    )
+    gained = [
+        stats.difference(ours_of(f"ppo-{x}").level / 1e6, one.level / 1e6)
+        for x, one in zip("ghcd", fresh, strict=True)
+    ]
+    assert "on a Go1 the grid gained {:.2f} M ({:.2f} to {:.2f})".format(*gained[0]) in words
+    assert all(one.low < 0 for one in gained[1:])
+    text = "after {:.2f} (one never), {:.2f}, {:.2f} (one never) and {:.2f} M (five never)"
+    assert text.format(*(np.nanmean(x.walks) / 1e6 for x in fresh)) in words
+    assert [int(np.isnan(x.walks).sum()) for x in fresh] == [1, 0, 1, 5]
+    sooner = stats.difference(ours_of("ppo-walk-h").walks / 1e6, fresh[1].walks / 1e6)
+    assert "by {:.2f} M ({:.2f} to {:.2f}, uncorrected)".format(*sooner) in words
+    ours = [ours_of(f"ppo-walk-{x}") for x in "ghcd"]
+    text = "after {:.2f} M (one of ten never), {:.2f}, {:.2f} (two never) and {:.2f} (one never)"
+    assert text.format(*(np.nanmean(x.walks) / 1e6 for x in ours)) in words
+    assert [int(np.isnan(x.walks).sum()) for x in ours] == [1, 0, 2, 1]
+    text = "{:.2f}, {:.2f}, {:.2f} and {:.2f}"
+    first = [
+        text.format(*(ours_of(f"{n}-{x}").level.mean() / 1e6 for x in "ghcd"))
+        for n in ("ppo-walk", "ppo")
+    ]
+    assert f"{first[0]} M, of the older PPO {first[1]}" in words
+    with lzma.open(LESS / "results/ppo.csv.xz", "rt", newline="") as file:
+        runs = {
+            (r["batch"], r["name"], r["seed"])
+            for r in csv.DictReader(file)
+            if r["name"][0] not in "qw"
+        }
+    counts = [sum(batch in some for batch, *_ in runs) for some in ("123", "4", "5")]
+    assert counts == [205, 120, 168] and "21 in 205 runs on two" in " ".join(
+        (LESS / "ppo.md").read_text().split()
+    )
+    assert (
+        "47 settings in 493 runs" in " ".join((LESS / "README.md").read_text().split())
+        and sum(counts) == 493
+    )
+
+
+def test_best_setting_is_the_one_that_walks_soonest_and_never_counts_twice(tmp_path, monkeypatch):
+    """Setting `a` walks at 2 M and never (of 3 M): (2 + 6) / 2; `b` at 3 M twice. `c` is another robot's. The
+    chosen settings have the fresh seeds, and a job that has not run is named."""
+    choose = script("21_less/choose")
+    good, bad = {"return": 40, "fall_rate": 0}, {"return": 40, "fall_rate": 0.5}
+    fields = "run.seed=0 run.num_seeds=2 run.eval_every=20 run.eval_envs=200"
+    jobs = {
+        "a": f"go1:best {fields} ppo.gamma=0.9",
+        "b": f"go1:best {fields}",
+        "c": f"go2:best {fields}",
+    }
+    walked = {"a": (2, 4), "b": (3, 3), "c": (1, 1)}  # first M steps with few falls, of 3
+    path, fresh = tmp_path / "jobs.txt", tmp_path / "fresh.txt"
+    path.write_text("".join(f"{name} {job}\n" for name, job in jobs.items()))
+    monkeypatch.setattr(sys, "argv", ["choose.py", *map(str, (tmp_path, path, fresh))])
+    for name, firsts in walked.items():
+        with pytest.raises(SystemExit, match=f"lacks .*{name}"):
+            choose.main()
+        rows = [
+            {"job": jobs[name], "seed": seed, "iteration": m, "sim_steps": m * 1e6}
+            | (good if m >= at else bad)
+            for seed, at in enumerate(firsts)
+            for m in (1, 2, 3)
+        ]
+        script("21_less/run").write(tmp_path / f"{name}.csv", rows)
+    choose.main()
+    lines = [line.split() for line in fresh.read_text().splitlines()]
+    assert [line[:2] for line in lines] == [["walks-b", "go1:best"], ["walks-c", "go2:best"]]
+    expected = {"run.seed=1200", "run.num_seeds=10", "run.eval_every=10", "run.eval_envs=1000"}
+    assert all(set(line[2:]) == expected for line in lines)
+
+
+RUNS = {
+    "**`best`**": "best",
+    "PPO": "ppo",
+    "PPO, to the level": "ppo-level",
+    "PPO, to walk": "ppo-walk",
+}
+LOW_FEET = {"**`best`**": "best", "PPO, same task": "ppo-task", "PPO, as before": "ppo"}
+OLDER = {  # rows of the table of older runs -> names in fresh.csv.xz
+    "`best` of then": "new",
+    "PPO, tuned": "ppo-kl3",
+    "PPO, 24 rows, 512 robots": "ppo-512x24",
+    "PPO, 24 rows, 1024 robots": "ppo-1024x24",
+    "PPO, 24 rows, 2048 robots": "ppo-2048x24",
+    "PPO, 16 rows, 1024 robots": "ppo-1024x16",
+    "PPO, 32 rows, 1024 robots": "ppo-1024x32",
+    "PPO-16": "ppo16",
+    "PPO-24": "ppo24",
+}
+
+
+def rows_of(page, names, columns):
+    """Rows of tables with so many columns: `name in the results -> cells`, from what the page calls it."""
+    names, found = {name.replace("**", ""): known for name, known in names.items()}, {}
+    for line in page.splitlines():
+        robot, _, what = cells(line)[0].partition(", ")
+        if robot in LETTERS and what in names and len(cells(line)) == columns:
+            assert found.setdefault(f"{names[what]}-{LETTERS[robot]}", cells(line)[1:])
+    return found
+
+
+def test_the_tables_of_the_headline_are_those_of_its_runs():
+    """Steps until it walks and to levels, falls; at equal steps; ratios; while the model writes tails."""
+    (table, jobs), page = less("headline"), (LESS / "tables.md").read_text()
+    assert {len(table.seeds(job)) for job in jobs.values()} == {10}
+    found = rows_of(page, RUNS, 11)
+    assert found.keys() == jobs.keys() and len(jobs) == 16
+    for name, mine in found.items():
+        first, fell = steps_and_falls(table, name, jobs[name])
+        assert mine == [*first[:2], fell[1], first[2], fell[4], *first[5:]], name
+    front = (LESS / "README.md").read_text()
+    steps, beside = rows_of(page, RUNS, 5), rows_of(front, RUNS, 8)
+    millions = (0.6, 1, 2, table.seeds(jobs["ppo-g"])[0][-1]["sim_steps"] / 1e6)
+    assert {
+        row[0]: row[1:] for row in map(cells, table.at(jobs, millions).splitlines()[2:])
+    } == steps
+    lines = map(cells, table.beside(jobs).splitlines()[2:])
+    assert {row[0]: row[1:] for row in lines} == beside and len(beside) == 12
+    short = {name: [*full[:3], steps[name][-1]] for name, full in found.items()}
+    assert rows_of(front, RUNS, 5) == short  # the page's own table is of these columns
+    mine = {f"best-{letter}": jobs[f"best-{letter}"] for letter in LETTERS.values()}
+    phases = [cells(line)[1:] for line in table.phases(mine).splitlines()[2:]]
+    falls = (LESS / "falls.md").read_text()
+    shown = [cells(line) for line in falls.splitlines() if cells(line)[0] in LETTERS]
+    assert [row[1:] for row in shown if len(row) == 6] == phases
+
+
+def steps_and_falls(table, name, job):
+    """The cells of a job in the table of steps, from `walks` on, and in that of falls."""
+    steps = table.table({name: job}, table.best(job)).splitlines()[2]
+    return cells(steps)[2:], cells(table.falls({name: job}).splitlines()[2])[1:]
+
+
+def test_what_an_average_of_the_policys_weights_is_worth_is_as_the_page_says():
+    words = " ".join((LESS / "falls.md").read_text().split())
+    with (LESS / "results/averaged.csv").open(newline="") as file:
+        rows = {
+            (row["seed"], int(row["sim_steps"]), row["kept"]): row for row in csv.DictReader(file)
+        }
+    ends = [max(steps for seed, steps, _ in rows if seed == one) / 1e6 for one in "01"]
+    assert "after {:.2f} and {:.2f} M steps".format(*ends) in words
+    less = [
+        float(rows[seed, steps, "0"]["return"]) - float(row["return"])
+        for (seed, steps, kept), row in rows.items()
+        if kept == "0.93" and 4e5 < steps < 6.6e5
+    ]
+    told = (
+        f"From 0.4 to 0.65 M the average with 0.93 returns {min(less):.1f} to {max(less):.1f} less"
+    )
+    assert told in words
+    late = {
+        kept: 100
+        * np.mean([float(x["fall_rate"]) for k, x in rows.items() if k[2] == kept and k[1] > 7e5])
+        for kept in ("0", "0.8", "0.93")
+    }
+    assert sum(k[1] > 7e5 for k in rows) == 3 * 5 and {k[0] for k in rows if k[1] > 7e5} == {"0"}
+    told = "fall in {:.1f} and {:.1f} % of the episodes, the policy itself in {:.1f}: five"
+    assert told.format(late["0.8"], late["0.93"], late["0"]) in words
+
+
+def test_what_the_page_says_of_feet_that_are_not_lifted_is_so():
+    """The table, the factors of then, and what the weight costs, runs evaluated as seldom as then."""
+    (table, old), page = less("low_feet"), (LESS / "task.md").read_text()
+    found = rows_of(page, LOW_FEET, 6)
+    assert found.keys() == old.keys() and len(old) == 12
+    for name, mine in found.items():
+        first, fell = steps_and_falls(table, name, old[name])
+        assert mine == [*first[:2], fell[1], *first[-3:-1]], name
+    page = " ".join(page.split())
+    walk = {
+        name: sum(np.isfinite(ours_of(f"{name}-{x}", "low_feet").walks).sum() for x in "cd")
+        for name in LOW_FEET.values()
+    }
+    assert f"{walk['ppo-task']} of 20 seeds walk with it, {walk['ppo']} of 20 without" in page
+    rows = {cells(line)[0]: cells(line)[1] for line in table.beside(old).splitlines()[2:]}
+    then = [rows[f"ppo-{x}"].split()[0] for x in "ghcd"]
+    assert "larger: {}, {}, {} and {}.".format(*then) in page
+    _, new = less("headline")
+
+    def steps(name):
+        """Of the newer runs, at the evaluations that the older ones had, too."""
+        runs = [
+            [r for r in run if r["iteration"] <= 200 or r["iteration"] % 50 == 0]
+            for run in table.seeds(new[name])
+        ]
+        return table.reached(runs, 38 if name[-1] in "gh" else 24)
+
+    best, ppo = (
+        [stats.ratio(steps(n).level, ours_of(n, "low_feet").level) for n in names]
+        for names in ([f"{run}-{x}" for x in "ghcd"] for run in ("best", "ppo"))
+    )
+    cost = [f"{one.value:.2f} ({one.low:.2f} to {one.high:.2f})" for one in best]
+    assert "{}, {}, {} and {} times those without".format(*cost) in page
+    assert "{:.2f}, {:.2f}, {:.2f} and {:.2f} times".format(*(one.value for one in ppo)) in page
+    walks = [steps(f"best-{x}").walks / 1e6 for x in "ghcd"]
+    each = [f"{some.mean():.2f} ({some.max():.2f})" for some in walks]
+    assert "as seldom as then {}, {}, {} and {} M".format(*each) in page
+    older = (np.nan_to_num(ours_of(f"best-{x}", "low_feet").walks, nan=np.inf) for x in "ghcd")
+    p = [stats.rank_sum(1e6 * a, b) for a, b in zip(walks, older, strict=True)]
+    assert "p {:.2f}, {:.2f}, {:.1f} and {:.2f})".format(*p) in page
+    lost = []
+    for name in ("best-g", "best-h", "best-c", "best-d"):
+        end = table.seeds(new["ppo-g"])[0][-1]["sim_steps"]
+        some = stats.difference(*(table.between(jobs[name], end, "return") for jobs in (old, new)))
+        interval = f" ({some.low:.1f} to {some.high:.1f})" if some.low > 0 else ""
+        lost.append(f"{some.value:.1f}{interval}")
+    assert "{}, {}, {} and {} lower".format(*lost) in page
+    after = stats.difference(*(table.phase(jobs["best-d"])[:, 3] for jobs in (new, old)))
+    assert f"{after.value:.2f} points ({after.low:.2f} to {after.high:.2f})" in page
+
+
+def test_the_table_of_older_runs_is_that_of_its_runs():
+    (table, jobs), page = less("fresh"), (LESS / "history.md").read_text()
+    found = rows_of(page, OLDER, 6)
+    assert len(found) == 24
+    for name, mine in found.items():
+        row = cells(table.table({name: jobs[name]}, table.best(jobs[name])).splitlines()[2])
+        assert mine == [*row[2:4], *row[9:]], name
+
+
+def test_the_tables_of_controls_are_those_of_their_runs(monkeypatch, capsys):
+    """What writes a tail, today and before feet were lifted, and each part taken out: as printed."""
+    page = (LESS / "model.md").read_text()
+    monkeypatch.setattr(sys, "argv", ["table.py", str(LESS / "results/ablation.csv.xz"), "--model"])
+    script("21_less/table").main()
+    printed = capsys.readouterr().out.strip().split("\n\n")
+    assert [len(table.splitlines()) - 2 for table in printed] == [5, 4, 14]
+    assert all(f"\n\n{table}\n\n" in page for table in printed)
+
+
+def test_what_the_page_of_controls_says_is_so():
+    """Ratios to `best`, 20 real rows, falls with tails; with fewer episodes `best` walks no sooner."""
+    (table, head), rng = less("headline"), np.random.default_rng(0)
+    page = " ".join((LESS / "model.md").read_text().split())
+
+    def of(batch, name):
+        jobs = table.read(LESS / "results/ablation.csv.xz", batch)
+        return [jobs[f"control-{name}-{x}"] for x in LETTERS.values()]
+
+    def reached(jobs):
+        return [table.reached(table.seeds(x), table.walks.level(table.best(x))) for x in jobs]
+
+    def falls(jobs):
+        return "{:.2f}, {:.2f}, {:.2f} and {:.2f}".format(
+            *(table.phase(job)[:, 0].mean() for job in jobs)
+        )
+
+    short = [
+        [row for row in head[f"best-{x}"] if row["iteration"] <= table.LAST]
+        for x in LETTERS.values()
+    ]
+    best, simulator = reached(short), reached(of("3", "simulator"))
+    found = [stats.ratio(a.level, b.level) for a, b in zip(simulator, best, strict=True)]
+    text = "{:.2f} (95 %: {:.2f} to {:.2f}), {:.2f} ({:.2f} to {:.2f}), {:.2f} ({:.2f} to {:.2f})"
+    text += " and {:.2f} ({:.2f} to {:.2f}) times the steps"
+    assert text.format(*np.ravel(found)) in page
+    p = [stats.rank_sum(a.level, b.level) for a, b in zip(simulator, best, strict=True)]
+    assert "p {:.2f}, {:.2f}, {:.4f} and {:.3f})".format(*p) in page
+    p = [stats.rank_sum(a.walks, b.walks) for a, b in zip(simulator, best, strict=True)]
+    assert "p {0:.3f}, {2:.3f} and {3:.4f}, by Holm".format(*p) in page
+    assert f"(p {p[1]:.2f})" in page and stats.holm(p)[[0, 2, 3]].max() < 0.0041
+    assert f"in {falls(of('3', 'simulator'))} % of the episodes with the simulator" in page
+    assert f"in {falls([head[f'best-{x}'] for x in LETTERS.values()])} % with" in page
+    older = falls(of("2", "simulator")), falls(of("2", "last"))
+    assert "fall in {} % of the episodes instead of {}.".format(*older) in page
+    for job, whole in zip(short, best, strict=True):  # 200 of the 1000 episodes
+        walks = []
+        for _ in range(20):
+            fell = rng.hypergeometric(
+                many := [round(1000 * row["fall_rate"]) for row in job],
+                1000 - np.array(many),
+                200,
+            )
+            some = [row | {"fall_rate": x / 200} for row, x in zip(job, fell, strict=True)]
+            walks.append(np.nan_to_num(reached([some])[0].walks, nan=job[-1]["sim_steps"]).mean())
+        whole = np.nan_to_num(whole.walks, nan=job[-1]["sim_steps"]).mean()
+        assert np.mean(walks) > 0.99 * whole
+    real, epochs = reached(of("3", "real20-5")), reached(of("3", "real20-15"))
+    times = [stats.share(a.level, b.level, 4.096e6, 0) for a, b in zip(real, best, strict=True)]
+    text = (
+        "needs {0:.1f} (Go1), {2:.1f} and {3:.1f} times (ANYmals) the steps of `best` to the level,"
+    )
+    text += " a Go2 at least {1:.1f} times"
+    assert text.format(*(cells["pct"] / 100 for cells in times)) in page
+    assert times[1]["bound"] == "at least"
+    later = [np.mean(a.level - b.level) / 1e6 for a, b in zip(epochs, real, strict=True)]
+    assert "by {:.2f} and {:.2f} M (rank tests, p 0.008 each)".format(*later[2:]) in page
+    p = [stats.rank_sum(a.level, b.level) for a, b in zip(epochs, real, strict=True)]
+    np.testing.assert_allclose(p, [0.67, 0.14, 0.008, 0.008], atol=5e-3)
+    never = [[int(np.isnan(x.level).sum()) for x in some] for some in (epochs, real)]
+    assert never == [[2, 3, 0, 0], [0, 1, 0, 0]]
+    rows = table.seeds(of("3", "real4-15")[0])[0][-1]["sim_steps"]
+    assert [round(rows / x.level.mean()) for x in best] == [9, 7, 7, 7]
+    last, then = reached(of("2", "last")), reached(of("2", "simulator"))
+    found = [b.level.mean() / a.level.mean() for a, b in zip(last, then, strict=True)]
+    text = (
+        "need {:.2f} and {:.2f} times the steps to the level on Go1 and Go2, {:.2f} and {:.2f} on"
+    )
+    assert text.format(*found) in page
+
+
+def test_the_page_of_results_has_the_numbers_of_both():
+    page = (ROOT / "docs/results.md").read_text()
+    runs = {
+        "`best`": "best",
+        "PPO alone, to the level *": "ppo-level",
+        "PPO alone, to walk †": "ppo-walk",
+    }
+    older = {"PPO-16, 4096 robots, older": "ppo16", "PPO-24, 4096 robots, older": "ppo24"}
+    rows = [cells(line) for line in page.splitlines() if cells(line)[0] in LETTERS]
+    assert len(rows) == 20
+    for robot, what, *mine in rows:
+        table, jobs = less("headline" if what in runs else "fresh")
+        job = jobs[f"{(runs | older)[what]}-{LETTERS[robot]}"]
+        row = cells(table.table({"": job}, table.best(job)).splitlines()[2])[-11:]
+        total, fell = re.fullmatch(r"(.*) ± .*, (.* %)", row[9]).groups()
+        end = f"{total} of {table.best(job)}, {row[8]}"
+        assert mine == [row[1], row[2], end, fell, f"{float(row[10]):.2f} m/s"], (robot, what)
+
+
+def test_the_table_of_what_was_tried_for_fewer_falls_is_that_of_its_runs():
+    (table, jobs), page = less("falls"), (LESS / "falls.md").read_text()
+    names = {name[:-2] for name in jobs}
+    rows = [
+        cells(line) for line in page.splitlines() if cells(line)[1:2] and cells(line)[1] in names
+    ]
+    assert rows
+    # of batches 7 to 9, with ten seeds each, every setting has a row
+    late = {name[:-2] for name, job in jobs.items() if job[0]["batch"] in "789"}
+    assert late <= {row[1] for row in rows}
+    assert {len(table.seeds(jobs[n])) for n in jobs if n[:-2] in late} == {10} and len(late) == 23
+    for _, name, *mine in rows:
+        keys = [f"{name}-{letter}" for letter in LETTERS.values()]
+        found = [table.part(jobs[key]).replace("**", "") if key in jobs else "" for key in keys]
+        assert mine + [""] * (4 - len(mine)) == found, name
+
+
+def test_what_the_page_says_of_falls_is_so():
+    """Ranges while tails are used, what physics alone leaves, and differences with p, by Welch."""
+    table, jobs = less("falls")
+    page = " ".join((LESS / "falls.md").read_text().split())
+    found: dict[str, list] = {letter: [] for letter in "ghcd"}
+    for name, job in jobs.items():
+        if job[0]["batch"] in "789" and np.isfinite(phase := table.phase(job).mean(0)).all():
+            found[name[-1]].append(phase)
+    tails = {letter: np.array(some)[:, 0] for letter, some in found.items()}
+    legs = np.concatenate([tails["g"], tails["h"]])
+    heavy = np.concatenate([tails["c"], tails["d"]])
+    assert f"less than {legs.min():.1f} % falls from iteration 70 on on Go1 or Go2" in page
+    assert f"or more than {legs.max():.1f} %" in page
+    assert f"have {heavy.min() - 0.05:.1f} to {heavy.max():.1f} %" in page
+    means = {letter: np.mean(some, 0) for letter, some in found.items()}
+    for top, below, text in (
+        (2, 1, "leave {} to {} % of the falls of the last"),
+        (2, 0, "and {} to {} % of the mean with tails"),
+        (3, 0, "thirty leave {} to {} % of that"),
+    ):
+        shares = [100 * mean[top] / mean[below] for mean in means.values()]
+        assert text.format(round(min(shares)), round(max(shares))) in page
+
+    def difference(one, other, what):
+        def values(job):
+            if what == "return":
+                return table.between(job, 1.5e6, "return")
+            if what == "falls at 1.5 M":
+                return 100 * table.between(job, 1.5e6, "fall_rate")
+            return table.phase(job)[:, 0 if what == "tails" else 4]
+
+        pair = [values(jobs[name]) for name in (one, other)]
+        return stats.difference(*pair).value, stats.welch_of(*pair)
+
+    early = [difference(f"L60ep125C-{x}", f"K1ep125C-{x}", "return") for x in "ghd"]
+    assert max(p for _, p in early) < 0.004
+    assert (
+        f"{-max(early)[0]:.1f} to {-min(early)[0]:.1f} lower if it begins at iteration 60" in page
+    )
+    more, p = difference("L60ep125C-h", "K1ep125C-h", "falls at 1.5 M")
+    assert f"Go2 falls {more:.1f} points more, p {p:.3f}" in page
+    later = [difference(f"K1L110ep75C-{x}", f"K1ep75C-{x}", "return") for x in "ghcd"]
+    text = f"{-max(later)[0]:.1f} to {-min(later)[0]:.1f} lower if at 110 (1.5 s; p {later[0][1]:.2f}, "
+    assert text + ", ".join(f"{p:.2f}" for _, p in later[1:]) + ")" in page
+    more = [difference(f"K1L110ep75C-{x}", f"K1ep75C-{x}", "falls at 1.5 M") for x in "gh"]
+    text = "(+{:.1f} and +{:.1f} points, p {:.1f} and {:.1f}: not shown)"
+    assert text.format(*(value for value, _ in more), *(p for _, p in more)) in page
+    short = [
+        difference(f"{kind}ep75C-{x}", f"{kind}ep125C-{x}", "after")
+        for kind, letters in (("S1", "cd"), ("base", "d"), ("K1", "cd"))
+        for x in letters
+    ]
+    text = "by {:.2f} points (p {:.3f}; C) and {:.2f} ({:.3f}; D) with S1, {:.2f} ({:.2f}; D) with KL 0.02, "
+    numbers = [abs(number) for pair in short for number in pair]
+    assert text.format(*numbers[:6]) in page
+    last = [numbers[6], numbers[8], numbers[7], numbers[9]]
+    assert "{:.2f} and {:.2f} ({:.2f}, {:.1f}) with K1".format(*last) in page
+    halved = [
+        difference(f"K1ep125C-{x}", f"baseep125C-{x}", w) for x in "ghd" for w in ("tails", "after")
+    ]
+    text = f"({min(halved)[0]:.1f} to {max(halved)[0]:.1f} points with tails or after, p "
+    assert text + f"{min(p for _, p in halved):.2f} at least" in page
+    for one, other, text in (
+        ("K1ep125C", "baseep125C", "costs {:.1f} to {:.1f} of return at 1.5 M (p {:.2f} on Go1)"),
+        ("K2ep75C", "K1ep75C", "KL 0.005 costs {:.1f} to {:.1f} (p {:.3f} at most)"),
+    ):
+        pairs = [difference(f"{one}-{x}", f"{other}-{x}", "return") for x in "ghd"]
+        p = pairs[0][1]
+        assert text.format(-max(pairs)[0], -min(pairs)[0], p) in page
+        assert "at most" not in text or p == max(p for _, p in pairs)
+    memory = ("M10a5", "M40a5", "M40a0r3", "M80a5r3", "M40a5r3L100")
+    pairs = [(f"{n}-{x}", f"K1ep125C-{x}") for n in memory for x in "ghcd" if f"{n}-{x}" in jobs]
+    lower = [
+        (one, *found)
+        for one, other in pairs
+        if (found := difference(one, other, "tails"))[1] < 0.05
+    ]
+    ((name, value, p),) = lower
+    assert name == "M40a0r3-h"
+    text = f"One of {len(pairs)} comparisons of falls with tails is lower (Go2, 40 iterations, three for "
+    assert text + f"one: {value:.1f} points, p {p:.3f})" in page
+    value, p = difference("M40a0r3-d", "K1ep125C-d", "after")
+    assert f"ANYmal-D more ({value:+.1f}, p {p:.2f})" in page
+    steps = {}
+    for pair in pairs:
+        steps[pair] = [
+            table.reached(table.seeds(jobs[n]), 38 if n[-1] in "gh" else 24).walks for n in pair
+        ]
+    assert f"p {min(stats.rank_sum(*two) for two in steps.values()):.2f} at least" in page
+    early = {}
+    for letter in "ghd":
+        rows = [r for r in jobs[f"S1-{letter}"] if 0.6e6 <= r["sim_steps"] <= 1.9e6]
+        fell = sum(r["fall_rate"] for r in rows)
+        early[letter] = 100 * sum(r["early"] for r in rows if np.isfinite(r["early"])) / fell
+    assert f"{early['d']:.0f} % of ANYmal-D's falls come in the first two seconds" in page
+    assert f"{early['g']:.0f} % of Go1's, {early['h']:.0f} % of Go2's" in page
+    last = [
+        np.nanmax(table.reached(table.seeds(jobs[f"S1-{x}"]), 38 if x in "gh" else 24).walks) / 1e6
+        for x in "ghd"
+    ]
+    assert "after {:.1f} (Go1), {:.1f} (Go2) and {:.1f} M (ANYmal-D)".format(*last) in page
+    worse, p = difference("S1ep125C-c", "S1ep125B-c", "after")
+    assert (
+        f"ANYmal-C {worse:.1f} points more than with half, a quarter, a quarter, p {p:.2f}" in page
+    )
+
+
+def test_runs_of_two_batches_are_not_one_and_other_settings_of_a_name_are_apart(tmp_path):
+    table = script("21_less/table")
+    text = "batch,name,job,seed,sim_steps,return,fall_rate,early\n"
+    text += "1,a-g,go1:best run.num_seeds=5 x=1,0,10,30,0.1,0.5\n2,a-g,go1:best x=1,0,10,40,0.1,\n"
+    text += "3,a-g,go1:best x=2,0,10,50,0.1,\n"
+    (tmp_path / "runs.csv.xz").write_bytes(lzma.compress(text.encode()))
+    jobs = table.read(tmp_path / "runs.csv.xz")
+    returns = {
+        n: [[r["return"] for r in run] for run in table.seeds(job)] for n, job in jobs.items()
+    }
+    assert returns == {"a-g": [[30], [40]], "a-g of batch 3": [[50]]}
+    assert np.isnan(jobs["a-g"][1]["early"])  # an empty cell
+
+
+def test_a_robot_stays_from_the_evaluation_on_after_which_none_is_bad():
+    reached = script("21_less/table").reached
+    ends = ((39.0, 0.0), (41.0, 0.02), (37.9, 0.0), (38.0, 0.01), (42.0, 0.03))
+    run = [{"return": a, "fall_rate": b, "sim_steps": 10.0 * i} for i, (a, b) in enumerate(ends)]
+
+    def stays(rows, level, most):
+        return reached([rows], level, most=most).walks[0]
+
+    assert [stays(run, 38, most) for most in (1, 0.03)] == [30, 30]
+    assert np.isnan(stays(run, 38, 0.01)) and np.isnan(stays(run, 43, 1))
+    assert (stays(run[:4], 38, 0.01), stays(run[:4], 37, 0.02)) == (30, 0)
+
+
+def test_the_readmes_table_says_what_the_runs_did():
+    """Steps until it walks, and until it is first at its level; falls; PPO-16 of 14_efficiency; the end."""
+    (table, jobs), page = less("headline"), (ROOT / "README.md").read_text()
+    with (EXPERIMENTS / "14_efficiency/results.csv").open(newline="") as file:
+        efficiency = list(csv.DictReader(file))
+    for robot, label in (
+        ("go1", "Go1"),
+        ("go2", "Go2"),
+        ("anymal_c", "ANYmal-C"),
+        ("anymal_d", "ANYmal-D"),
+    ):
+        mine, ppo, to_walk = (
+            jobs[f"{name}-{LETTERS[label]}"] for name in ("best", "ppo-level", "ppo-walk")
+        )
+        level = script("14_efficiency").LEVEL[robot]
+        ours, theirs, walking = (
+            table.reached(table.seeds(job), level) for job in (mine, ppo, to_walk)
+        )
+        assert not np.isnan([*ours.level, *theirs.level]).any()
+        falls = 100 * np.mean([table.first(run, level, "fall_rate") for run in table.seeds(mine)])
+        sixteen = paper.pick(efficiency, robot=robot, threshold="evaluated", variant="ppo16")
+        assert sixteen["success_rate_pct"] == "100"
+        mine_walk, walk = (np.isfinite(one.walks).sum() for one in (ours, walking))
+        last = cells(table.table({"": mine}, table.best(mine)).splitlines()[2])[-2]
+        end = re.sub(" ± [^,]*", f" of {table.best(mine)}", last)
+        found = [
+            f"{np.nanmean(ours.walks) / 1e6:.2f} ({np.nanmax(ours.walks) / 1e6:.2f}"
+            + (f"; {mine_walk} of 10)" if mine_walk < 10 else ")"),
+            f"{np.nanmean(walking.walks) / 1e6:.1f}" + (f" ({walk} of 10)" if walk < 10 else ""),
+            f"{ours.level.mean() / 1e6:.2f}, {falls:.1f} %",
+            f"{theirs.level.mean() / 1e6:.1f}",
+            f"{float(sixteen['sim_steps_M_mean']):.1f}",
+            end,
+        ]
+        line = next(line for line in page.splitlines() if line.startswith(f"| {label} "))
+        plain = line.replace(" seeds)", ")").replace(" % falls", " %")
+        assert cells(plain) == [label, *found]
+        ratio = float(sixteen["sim_steps_M_mean"]) * 1e6 / ours.level.mean()
+        assert 47 < ratio < 57  # "about a fiftieth"
+        less_than = theirs.level.mean() / ours.level.mean()
+        assert round(less_than) == (4 if robot.startswith("go") else 3)  # "a quarter", "a third"
+        columns = paper.sim_steps(
+            f"configs/{robot}.py:best", 150 if robot.startswith("go") else 110
+        )
+        assert columns < 0.1 * mine[-1]["sim_steps"]  # "over 90 % of them without the model"
+    text = " ".join(page.split())
+    first, walks = (np.mean(x) / 1e6 for x in (ours_of("best-g").level, ours_of("best-g").walks))
+    assert f"commands after {first:.2f} million" in text and f"after {walks:.2f} million" in text
+    steps = [np.mean(ours_of("ppo-level-g").level), np.nanmean(ours_of("ppo-walk-g").walks)]
+    steps = [x / 1e6 for x in steps]
+    text = " ".join(text.split())
+    assert (
+        "needs {:.1f} million to follow commands and {:.1f} million to walk".format(*steps) in text
+    )
+
+
+def ours_of(name, results="headline"):
+    """Steps of a job of the headline, or of another file."""
+    table, jobs = less(results)
+    return table.reached(table.seeds(jobs[name]), 38 if name[-1] in "gh" else 24)
+
+
+def test_at_equal_steps_and_in_ratios_the_headline_is_as_its_page_says():
+    """The shipped tables, against NumPy and `stats` on the rows of the file."""
+    table, jobs = less("headline")
+
+    def column(name, what, at):
+        out = []
+        for seed in range(990, 1000):
+            rows = [row for row in jobs[name] if row["seed"] == seed]
+            (before,) = [r for r in rows if r["sim_steps"] <= at][-1:]
+            (after,) = [r for r in rows if r["sim_steps"] >= at][:1]
+            span = after["sim_steps"] - before["sim_steps"]
+            share = (at - before["sim_steps"]) / span if span else 0.0
+            out.append(before[what] + share * (after[what] - before[what]))
+        return np.array(out)
+
+    end = table.seeds(jobs["ppo-g"])[0][-1]["sim_steps"]
+    rows = {cells(line)[0]: cells(line)[1:] for line in table.beside(jobs).splitlines()[2:]}
+    for letter in "ghcd":
+        row = rows[f"ppo-{letter}"]
+        for place, what, at, scale in (
+            (2, "return", 2e6, 1),
+            (3, "return", end, 1),
+            (5, "fall_rate", 2e6, 100),
+            (6, "fall_rate", end, 100),
+        ):
+            pair = [scale * column(f"{run}-{letter}", what, at) for run in ("best", "ppo")]
+            found = stats.difference(*pair)
+            assert row[place] == f"{found.value:+.1f} ({found.low:.1f} to {found.high:.1f})"
+        pair = [column(f"{run}-{letter}", "return", end) for run in ("best", "ppo")]
+        p = stats.equivalence(*pair, 1.0 if letter in "gh" else 0.7)
+        assert row[4] == f"{p:.1g}" and (p < 0.05) == (letter != "d")  # "equal within 1.0 (0.7)"
+        one, other = (ours_of(f"{run}-{letter}") for run in ("ppo", "best"))
+        found = stats.ratio(one.level, other.level)
+        assert row[0] == f"{found.value:.1f} ({found.low:.1f} to {found.high:.1f})"
+        if np.isnan(other.walks).any():
+            assert row[1] == f"`best`: {np.isnan(other.walks).sum()} never"
+        elif np.isnan(one.walks).any():
+            least = np.where(np.isnan(one.walks), end, one.walks).mean() / other.walks.mean()
+            assert row[1] == f"at least {least:.1f}"
+        else:
+            found = stats.ratio(one.walks, other.walks)
+            assert row[1] == f"{found.value:.1f} ({found.low:.1f} to {found.high:.1f})"
+
+
+def test_what_the_page_says_of_the_goal_and_of_single_seeds_is_so():
+    front, page = (" ".join((LESS / n).read_text().split()) for n in ("README.md", "falls.md"))
+    alone = {"g": 0.65e6, "h": 0.65e6, "c": 0.49e6, "d": 0.49e6}  # from there on
+    late = {x: (~(ours_of(f"best-{x}").walks <= at)).sum() for x, at in alone.items()}
+    assert late == {"g": 5, "h": 3, "c": 2, "d": 7}
+    assert "so 5 Go1 and 3 Go2 of 10 do not walk before physics alone begins" in page
+    assert "nor do 2 ANYmal-C and 7 ANYmal-D" in page
+    assert f"So {sum(late.values())} of the 40 seeds do not walk before the simulator" in front
+    ends = {x: ours_of(f"best-{x}").walks / 1e6 for x in "ghcd"}
+    met = [x for x, some in ends.items() if some.mean() <= 0.6 and some.max() <= 1.0]
+    assert met == ["c"] and ends["h"].mean() < 0.6 and ends["h"].max() > 1.0
+    assert "It is met on ANYmal-C. Go2 misses it by its last seed (1.06 M)" in front
+    assert np.isfinite([*ends.values()]).all() and "all 40 runs walk" in front
+    second = [np.sort(ends[x])[-2] for x in "gd"]
+    assert f"Nine of ten Go1 walk by {second[0]:.2f} M" in front
+    assert f"Nine of ten ANYmal-D walk by {second[1]:.2f} M" in front
+    text = "a Go1 walks after {:.2f} M simulator steps, a Go2 after {:.2f} M, "
+    text += "ANYmal-C and -D after {:.2f} and {:.2f} M"
+    assert text.format(*(some.mean() for some in ends.values())) in front
+    level = [ours_of(f"best-{x}").level.mean() / 1e6 for x in "ghcd"]
+    assert "after {:.2f}, {:.2f}, {:.2f} and {:.2f} M steps".format(*level) in front
+    theirs = [ours_of(f"ppo-walk-{x}").walks / 1e6 for x in "ghcd"]
+    text = "walks after {:.1f}, {:.1f}, {:.1f} and {:.1f} M, and {} of its 40 runs do not within"
+    assert text.format(*map(np.nanmean, theirs), np.isnan(theirs).sum()) in front
+    table, jobs = less("headline")
+    last, late = (table.seeds(jobs[f"best-{x}"])[np.argmax(ends[x])] for x in "gd")
+    some = [r["fall_rate"] for r in last if 0.8e6 < r["sim_steps"] < 5.4e6]
+    assert (min(some), max(some)) == (0.002, 0.029) and some[-1] > 0.01
+    assert "falls in 0.2 to 2.9 % of its episodes from 0.8 to 5.4 M" in front
+    (bad,) = [r for r in late if r["sim_steps"] > 0.44e6 and r["fall_rate"] > 0.01]
+    assert bad["fall_rate"] == 0.012 and f"{bad['sim_steps'] / 1e6:.1f}" == "4.6"
+    assert "has 1.2 % at a single evaluation, at 4.6 M" in front
+    table, jobs = less("low_feet")
+    spread = [
+        np.mean(
+            [
+                np.std([r["fall_rate"] for r in run if 70 <= r["iteration"] <= 150], ddof=1)
+                for run in table.seeds(jobs[f"best-{x}"])
+            ]
+        )
+        for x in "gh"
+    ]
+    assert "deviation {:.1f} and {:.1f} points".format(*(100 * s for s in spread)) in page
+
+
+def test_steps_until_robots_walk_count_falls_and_relapses():
+    """Three Go1: one walks at once, one after a relapse, one falls to the end; and an ANYmal."""
+    table = script("21_less/table")
+    runs = {  # returns, fall rates after 1, 2, 3, 4 M steps
+        0.0: ([39, 40, 40, 40], [0, 0, 0, 0]),
+        1.0: ([38, 37, 40, 40], [0.0, 0.0, 0.02, 0.01]),
+        2.0: ([10, 40, 40, 40], [0.9, 0.5, 0.2, 0.05]),
+    }
+
+    def job(runs, text):
+        return [
+            {"job": text, "seed": seed, "sim_steps": (k + 1) * 1e6, "tracking_error": 0.05}
+            | {"return": float(value), "fall_rate": falls}
+            for seed, some in runs.items()
+            for k, (value, falls) in enumerate(zip(*some, strict=True))
+        ]
+
+    go1 = job(runs, "new-g go1:best")
+    head, _, line = table.table({"new-g": go1}, table.best(go1)).splitlines()
+    told = dict(zip(head.split(" | "), line.split(" | "), strict=True))
+    assert told["walks: M steps"] == "2.50 (4.00), 1 never"
+    assert told["first at 38"] == "1.33 (2.00)"
+    assert told["first at 38, falls at most 1 %"] == "1.00 (1.00), 1 never"
+    assert told["at the end: return, falls"].endswith(", 8.7 %")
+    anymal = job({0.0: ([24, 24], [0, 0])}, "new-c anymal_c:best")
+    head, _, line = table.table({"new-c": anymal}, table.best(anymal)).splitlines()
+    assert "first at 24" in head and line.split(" | ")[2] == "1.00 (1.00)"
+    rows = table.parts({"new-g": go1, "new-c": anymal}).splitlines()
+    assert rows[2] == (
+        "| new | **2.50 (1 never)**; 1.33; 39.7, 8.7 % |  | **1.00**; 1.00; 24.0, 0.0 % |  |"
+    )
+
+
+def test_a_laptop_run_walks_if_it_does_to_its_end():
+    walk = script("04_laptop/table").walk
+    rows = [{"steps": k, "return": 40.0, "fall_rate": f} for k, f in enumerate((0.02, 0.01, 0.005))]
+    assert walk(rows, 38) and walk(rows[-1:], 38) and not walk(rows[:1], 38)
+    assert not walk(rows[::-1], 38) and not walk(rows, 41)
+
+
+def test_the_solvers_errors_are_those_of_its_file():
+    page = (EXPERIMENTS / "01_four_robots/README.md").read_text()
+    lines = (EXPERIMENTS / "01_four_robots/solver.txt").read_text().splitlines()
+    assert len(lines) == 8
+    for line in lines:
+        robot, friction = re.match(r"(\w+) +friction ([^:]+):", line).groups()
+        label = paper.ROBOTS[robot].removeprefix("Unitree ")
+        row = next(x for x in page.splitlines() if x.strip().startswith(f"| {label}, {friction} |"))
+        found = re.findall(r"iterations ([\d.]+) % ([\d.]+)", line)
+        for cell, (share, worst) in zip(row.split("|")[2:-1], found, strict=True):
+            shown = [float(x) for x in re.findall(r"[\d.]+", cell)]
+            assert shown[0] == float(share) and abs(shown[1] - float(worst)) <= 0.006, line

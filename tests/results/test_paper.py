@@ -1,0 +1,610 @@
+"""10 to 18: the scripts of the paper's tables and figures, on the results that are there and on numbers known
+by hand. What trains is `-m slow`: every folder's `run.py --quick`, twice.
+"""
+
+import csv
+import itertools
+import json
+import lzma
+import subprocess
+import sys
+import types
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import toy_env
+from result_files import EXPERIMENTS, ROOT, script
+
+from dynappo import algorithm
+from dynappo import config as config_lib
+from dynappo.learner import networks
+from dynappo.tasks.velocity import env as env_lib
+from experiments import paper, run, stats
+
+PLOTS = (
+    "02_brax 10_ablation 11_model 12_platforms 13_step_time 14_efficiency "
+    "15_curves 16_gaits 17_regimes/cliff 18_rollouts"
+).split()
+FOLDERS = (  # in the order in which they read each other's runs
+    "10_ablation 12_platforms 11_model 13_step_time 14_efficiency 15_curves 16_gaits 17_regimes "
+    "18_rollouts"
+).split()
+
+
+def keep(folder, name, returns):
+    """Write a run of these returns [I][S] as run.py does: 1000 steps and 2 s an iteration."""
+    returns = np.array(returns, float)
+    count = np.arange(1, len(returns) + 1)
+    metrics = {"iteration": count, "sim_steps": 1000 * count, "seconds": 2.0 * count}
+    metrics |= {"episode_return": returns, "policy_std": 1 / (1 + np.abs(np.nan_to_num(returns)))}
+    folder.mkdir(parents=True, exist_ok=True)
+    run.write_csv(folder / f"{name}.csv", run.kept(metrics))
+    summary: dict = {"return": returns[-10:].mean(0), "return_max": np.nanmax(returns, 0)}
+    summary["policy_std"] = metrics["policy_std"][-10:].mean(0)
+    summary = {name: values.tolist() for name, values in summary.items()}
+    summary |= dict(sim_steps=1000 * len(returns), seconds=2.0 * len(returns), date="2026-01-01")
+    parts = dict.fromkeys(("fall_rate", "tracking_error"), [0.0, 0.5]) | {"return": [1.0, 3.0]}
+    summary |= dict(device="none", impl="jax", evaluation=parts, compile_seconds=100.0)
+    (folder / f"{name}.json").write_text(json.dumps(summary))
+
+
+@pytest.mark.parametrize("name", PLOTS)
+def test_a_script_makes_the_tables_that_are_stored_and_draws_its_pictures(name, tmp_path, drawn):
+    folder = EXPERIMENTS / name.partition("/")[0]
+    if (folder / "results").exists():
+        (tmp_path / "results").symlink_to(folder / "results")
+    script(name).make(tmp_path)
+    made = list(tmp_path.glob("*.csv"))
+    assert made or name == "02_brax"  # its table is in words
+    for table in made:
+        assert table.read_text() == (folder / table.name).read_text(), table.name
+    assert drawn and all((folder / f"{picture}.png").exists() for picture in drawn)
+
+
+@pytest.mark.parametrize("script_of, table", [("lag", "lag"), ("table", "results")])
+def test_the_tables_without_a_picture_are_those_that_are_stored(script_of, table, tmp_path):
+    folder = EXPERIMENTS / "17_regimes"
+    (tmp_path / "results").symlink_to(folder / "results")
+    script(f"17_regimes/{script_of}").make(tmp_path)
+    assert (tmp_path / f"{table}.csv").read_text() == (folder / f"{table}.csv").read_text()
+
+
+def test_learning_rates_beside_ppo16s_are_geometric_means_with_welchs_p():
+    """Two variants of three and four seeds, constant in each window but for NaN; and the page's numbers."""
+    plot, rng = script("15_curves/plot"), np.random.default_rng(0)
+    scipy_stats = pytest.importorskip("scipy.stats")
+    count = np.arange(1.0, 501)[:, None]
+    rates = {"ppo16": rng.uniform(1, 2, 3), "dyna4": rng.uniform(2, 4, 4)}
+    runs = {"fast": None}
+    for name, each in rates.items():
+        late = np.where(count > 100, 10.0, 1.0) * each
+        late[5] = np.nan
+        columns = {"iteration": np.broadcast_to(count, late.shape), "learning_rate": late}
+        runs[name] = types.SimpleNamespace(columns=columns)
+    rows = plot.beside("go1", runs)
+    assert [(row["variant"], row["window"]) for row in rows] == [
+        ("dyna4", x) for x in ("early", "end")
+    ]
+    logs = [np.log(rates[name]) for name in ("dyna4", "ppo16")]
+    for row in rows:
+        assert row["share"] == pytest.approx(np.exp(logs[0].mean() - logs[1].mean()))
+        assert row["p"] == pytest.approx(scipy_stats.ttest_ind(*logs, equal_var=False).pvalue)
+        assert row["share_low"] < row["share"] < row["share_high"]
+    assert plot.beside("go1", {"dyna4": runs["dyna4"]}) == []
+    with (EXPERIMENTS / "15_curves/rates.csv").open(newline="") as file:
+        told = [*csv.DictReader(file)]
+    page = " ".join((EXPERIMENTS / "15_curves/README.md").read_text().split())
+    for window, words in (
+        ("early", "over the first 100 iterations {} to {} times PPO-16's (Holm 1 on"),
+        (
+            "end",
+            "{} to {} times PPO-16's over the last 40 iterations, no difference shown (Holm 1;",
+        ),
+    ):
+        tails = [row for row in told if row["window"] == window and "dyna" in row["variant"]]
+        assert len(tails) == 12 and {row["p_holm"] for row in tails} == {"1"}
+        shares = [float(row["share"]) for row in tails]
+        assert words.format(f"{min(shares):.2f}", f"{max(shares):.2f}") in page
+    early = {r["robot"]: r for r in told if (r["variant"], r["window"]) == ("ppo12", "early")}
+    shares, holm = ({n: float(r[x]) for n, r in early.items()} for x in ("share", "p_holm"))
+    words = "is lower on the ANYmals: {anymal_c:.2f} and {anymal_d:.2f} times (Holm "
+    assert words.format(**shares) + "{anymal_c:.3f} and {anymal_d:.4f})".format(**holm) in page
+    words = "{go1:.2f} and {go2:.2f} on Go1 and Go2 (Holm "
+    assert words.format(**shares) + "{go1:.0f} and {go2:.2f})".format(**holm) in page
+
+
+def test_times_of_table_i_are_measured_once_a_cell_and_beside_the_papers(tmp_path, monkeypatch):
+    """Two cells of three are there: only the third is measured. Minutes are the paper's."""
+    times, path = script("10_ablation/times"), tmp_path / "times.csv"
+    monkeypatch.setattr(times, "HERE", tmp_path)
+    path.write_text("envs,horizon,ms,device,commit\n512,12,4,GPU,a\n8192,32,40,GPU,a\n")
+    asked = []
+    monkeypatch.setattr(times.run, "configure", lambda job, *_: asked.append(job))
+    monkeypatch.setattr(times.build, "program", lambda _: types.SimpleNamespace(device="GPU"))
+    monkeypatch.setattr(times, "iteration", lambda _: 12.5)
+    (tmp_path / "first").mkdir()
+    times.measure(tmp_path / "first/times.csv", [(512, 12), (8192, 32)])  # times.csv has both
+    assert not asked and not (tmp_path / "first/times.csv").exists()
+    times.measure(path, [(512, 12), (4096, 16), (8192, 32)])
+    assert asked == ["go1:ppo16:rollout.num_envs=4096:rollout.horizon=16"]
+    rows = paper.rows(path)
+    assert [row["ms"] for row in rows] == [4, 40, 12.5]
+    out = times.table(rows)
+    for line in ("| R = 512 | 2.00 / 3.1 |", "| R = 4096 |  | 6.25 / 4.9 |", " | 20.00 / 12.3 |"):
+        assert line in out
+    minutes = {(r["envs"], r["horizon"]): r["time_min"] for r in paper.table("ablation")}
+    both = np.log([[2, 20, 6.25], [minutes[512, 12], minutes[8192, 32], minutes[4096, 16]]])
+    assert f"3 cells: {np.corrcoef(both)[0, 1]:.3f}" in out
+
+
+def test_the_times_of_table_i_are_those_of_the_page():
+    """Cell by cell; how many times as fast, and what robots cost."""
+    page = (EXPERIMENTS / "10_ablation/README.md").read_text()
+    rows = paper.rows(EXPERIMENTS / "10_ablation/times.csv")
+    shown, _, said = script("10_ablation/times").table(rows).rpartition("\n")
+    assert shown in page
+    words = " ".join(page.split())
+    assert f"is {float(said.split(': ')[1])} over these {len(rows)} cells" in words
+    ours = {(row["envs"], row["horizon"]): row["ms"] / 2 for row in rows}
+    theirs = {(row["envs"], row["horizon"]): row["time_min"] for row in paper.table("ablation")}
+    faster = [60 * theirs[cell] / ours[cell] for cell in ours]
+    assert f"{min(faster):.0f} to {max(faster):.0f} times as fast" in words
+    few, many = ([of[8192, 16] / of[count, 16] for of in (ours, theirs)] for count in (512, 1024))
+    text = (
+        "it takes {:.1f} times as long, in the paper {:.1f} times; from 512, which ran on another"
+    )
+    text += " host, it is {:.1f} and {:.1f} times"
+    assert text.format(*many, *few) in words
+    first = [row for row in rows if row["commit"].startswith("71c94de1")]
+    others = {(row["envs"], row["horizon"]) for row in rows if row not in first}
+    assert others == {(512, 12), (512, 16), (512, 20), (1024, 28), (1024, 32)}
+    last = script("10_ablation/times").table(first).rpartition(": ")[2]
+    assert f"Without them the correlation is {last}." in words
+
+
+@pytest.mark.parametrize("name", ["11_model", "12_platforms", "13_step_time", "16_gaits"])
+def test_a_table_says_what_has_not_been_run(name, tmp_path, drawn):
+    script(name).make(tmp_path)
+    assert drawn
+    table = (tmp_path / "results.csv").read_text()
+    assert "not run" in table or ",,,\n" in table  # of milliseconds, empty cells
+
+
+def test_a_threshold_is_reached_where_the_return_first_is_there(tmp_path):
+    nan = np.nan
+    keep(tmp_path, "a", [[nan, nan, nan], [5, 9, 1], [9, 3, 2], [4, 12, 3]])
+    found = paper.load(tmp_path, "a")
+    took = paper.reached(found, 9.0)
+    np.testing.assert_array_equal(took["iteration"], [3, 2, nan])
+    np.testing.assert_array_equal(took["sim_steps"], [3000, 2000, nan])
+    np.testing.assert_array_equal(took["seconds"], [6, 4, nan])
+    every = paper.reached(found, 9.0, 2)  # iterations 2 and 4 only
+    np.testing.assert_array_equal(every["iteration"], [nan, 2, nan])
+
+
+def test_simulator_steps_of_table_6_follow_from_its_iterations():
+    for variant, steps in (("ppo16", 27_525_120), ("dyna2", 22_822_912), ("dyna4", 19_636_224)):
+        row = paper.pick(paper.table("efficiency"), variant=variant)
+        assert paper.sim_steps(f"configs/go1.py:{variant}", int(row["iterations"])) == steps
+        assert round(steps / 1e6, 2) == row["sim_steps_M"]
+
+
+def test_a_csv_of_500_iterations_and_5_seeds_is_small_and_exact_where_it_counts(tmp_path):
+    rng, count = np.random.default_rng(0), np.arange(1, 501)
+    metrics = {n: rng.normal(size=(500, 5)) * 10.0 ** rng.integers(-2, 2) for n in run.KEPT}
+    metrics |= {"iteration": count, "sim_steps": 49152 * count, "seconds": 0.81234 * count}
+    metrics["falls"] = rng.integers(0, 300, (500, 5))
+    for name in ("eval_return", "eval_fall_rate", "eval_tracking_error"):
+        metrics[name][count % 50 != 0] = np.nan  # of a run that is evaluated on the way
+    run.write_csv(tmp_path / "a.csv", run.kept(metrics))
+    (path,) = tmp_path.iterdir()
+    assert path.name == "a.csv.xz" and path.stat().st_size < 40_000
+    assert lzma.decompress(path.read_bytes()).startswith(b"iteration,sim_steps,seconds,")
+    read = paper.read(path)
+    np.testing.assert_array_equal(read["sim_steps"][:, 3], metrics["sim_steps"])
+    np.testing.assert_allclose(read["episode_return"], metrics["episode_return"], rtol=6e-4)
+    every = (count <= 20) | (count % 5 == 0)
+    np.testing.assert_array_equal(read["falls"][every], metrics["falls"][every])
+    assert np.isnan(read["falls"][~every]).all()
+    np.testing.assert_allclose(read["eval_return"], metrics["eval_return"], rtol=6e-4)
+    thin = run.kept(metrics, thin=10)
+    np.testing.assert_array_equal(thin["iteration"], np.arange(10, 501, 10))
+    assert np.isfinite(thin["kl"]).all()
+
+
+TOY = (
+    "run.device=cpu rollout.num_envs=16 rollout.horizon=8 run.num_iterations=4 run.log_every=2 "
+    "run.checkpoint_every=0 run.eval_envs=0 model.hidden=(8,) model.epochs=1 ppo.hidden=(8,) "
+    "ppo.epochs=1 ppo.minibatches=2 schedule.start_iteration=1 schedule.end_iteration=3"
+).split()
+
+
+@pytest.mark.slow
+def test_a_batch_goes_on_where_it_was_cut_off_and_chunks_train_as_it_does(tmp_path, monkeypatch):
+    """With the toy environment; and the probe of 11_model on the model of its run."""
+
+    monkeypatch.setattr(env_lib, "make", lambda *_, **__: toy_env.make())
+    made = run.build.program(run.configure("go1:dyna4", 2, TOY))  # compiled once
+    state = jax.tree.map(jnp.copy, made.state)  # a run gives its own away
+    programs = [made._replace(state=state), made]
+    monkeypatch.setattr(run.build, "program", lambda _: programs.pop())
+    (tmp_path / "go1_ppo16_run.seed_1.json").write_text('{"diverged": "kl"}')
+    for _ in range(2):  # the second time there is nothing to do
+        run.batch(tmp_path, ["go1:ppo16:run.seed=1", "go1:dyna4"], 2, TOY)
+        assert len(programs) == 1
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {"go1_ppo16_run.seed_1.json", "go1_dyna4.json", "go1_dyna4.csv.xz"}
+    states = [paper.status(paper.load(tmp_path, n)) for n in ("go1_ppo16_run.seed_1", "b")]
+    assert states == ["diverged", "not run"]
+    found = paper.load(tmp_path, "go1_dyna4")
+    assert found.columns["sim_steps"][-1, 0] == 16 * np.sum([8, 6, 4, 4])
+    assert len(found.summary["policy_std"]) == 2
+    ask, done, std = None, [], []
+    for program, iteration, state, metrics in run.chunks(run.configure("go1:dyna4", 2, TOY)):
+        done.append(iteration)
+        std += metrics["policy_std"].tolist()
+        ask = ask or script("11_model/probe").compiled(program)
+        rmse, spread = map(np.asarray, ask(state))
+        assert rmse.shape == spread.shape == (2, 8, 2) and np.isfinite(rmse).all()
+        assert (rmse > 0).all() and (rmse[0] != rmse[1]).all()  # seeds differ
+    assert done == [2, 4]
+    np.testing.assert_allclose(found.columns["policy_std"], std, rtol=1e-3)
+
+
+def test_all_runs_of_a_cell_count_whichever_folder_has_them(tmp_path, monkeypatch):
+    ablation, regimes = script("10_ablation"), script("17_regimes/table")
+    monkeypatch.setattr(ablation, "OTHERS", tmp_path)
+    own, name = tmp_path / "own", run.name(ablation.job(4096, 12))
+    keep(tmp_path / "12_platforms/earlier", "go1_ppo12", [[7.0] * 5] * 12)
+    cells = ablation.build(own, [(2048, 12), (4096, 12)])
+    assert [cell["status"] for cell in cells] == ["not run", ""]
+    assert (cells[1]["seeds"], cells[1]["max_reward_mean"]) == (5, 7)
+    # every iteration of one, every tenth of another
+    keep(own, name, [[3.0] * 3] * 20)
+    keep(own / "more", name, [[4.0, 5.0]] * 20)
+    keep(tmp_path / "17_regimes/results/more", name, [[6.0]] * 20)
+    keep(tmp_path / "12_platforms/results", "go1_ppo12", [[8.0]] * 20)
+    keep(tmp_path / "12_platforms/earlier", "go1_ppo12", [[7.0] * 5] * 20)
+    (cell,) = ablation.build(own, [(4096, 12)])
+    warp, kernel = [3.0] * 3 + [7.0] * 5, [4.0, 5.0, 6.0, 8.0]
+    assert (cell["seeds"], cell["kernel_seeds"]) == (12, 4)
+    assert cell["max_reward_mean"] == pytest.approx(np.mean(warp + kernel))
+    assert cell["kernel_difference"] == pytest.approx(np.mean(kernel) - np.mean(warp))
+    assert cell["kernel_p"] == stats.welch_of(kernel, warp)
+    places = [(str(row["batch"]), row["seeds"]) for row in ablation.named(own, [(4096, 12)])]
+    assert places[:2] == [("own", 3), ("12_platforms/earlier", 5)]
+    jobs = [regimes.job(r, v) for r in regimes.REGIMES for v in regimes.VARIANTS]
+    configs = {run.configure(job, 3).to_json_best_effort() for job in jobs}
+    assert len({run.name(job) for job in jobs}) == len(jobs) == len(configs)
+    assert regimes.job(regimes.Regime("", 2048), "ppo12") == ablation.job(2048, 12)
+
+
+def test_no_stored_run_of_plain_ppo_on_go1_is_missing_in_the_map():
+    """By what each run's JSON says of itself: job, settings, iterations."""
+    plot = script("10_ablation")
+    kept = {
+        EXPERIMENTS / "03_speed/results/one_seed_ppo16"
+    }  # one seed, for its time: the page says so
+    for cell in plot.GRID:
+        kept |= {
+            batch.path for batch in plot.batches_of(EXPERIMENTS / "10_ablation/results", *cell)
+        }
+    about = ("rollout.num_envs", "rollout.horizon")  # what a cell is; all else is the variant's
+    free = ("physics.impl", "run.")  # fields that do not change what is learned
+    found = set()
+    for path in EXPERIMENTS.rglob("*.json"):
+        told = json.loads(path.read_text())
+        job = told.get("job") if isinstance(told, dict) else None
+        if not isinstance(job, str) or not job.startswith(("go1:ppo12", "go1:ppo16")):
+            continue
+        fields = [field.split("=")[0] for field in job.split(":")[2:]]
+        fields += [one.split("=")[0] for one in told["set"] if not one.startswith(free)]
+        if not set(fields) - set(about) and told["iterations"] == 500:
+            found.add(path.with_suffix(""))
+    assert found == kept
+
+
+def test_the_page_of_the_map_has_the_numbers_of_its_runs():
+    plot = script("10_ablation")
+    page = (EXPERIMENTS / "10_ablation/README.md").read_text()
+    rows = plot.build(EXPERIMENTS / "10_ablation/results", plot.GRID)
+    for envs in plot.ENVS:
+        some = [row for row in rows if row["envs"] == envs]
+        cells = [f"{row['max_reward_mean']:.1f} / {row['paper_max_reward']:.1f}" for row in some]
+        assert f"| R = {envs} | {' | '.join(cells)} |" in page
+        assert f"| R = {envs} | {' | '.join(str(row['seeds']) for row in some)} |" in page
+    lines = plot.findings(rows)
+    gains = [line.split(": ")[1].split(", ")[0] for line in lines if line.startswith("  R=")][:6]
+    assert len(gains) == 6 and all(gain in page.replace(",", "") for gain in gains)
+    levels = next(line for line in lines if line.startswith("  rows to"))
+    assert "R=1024: 19.6, R=2048: 14.4, R=4096: 12 or fewer" in levels and "19.6, 14.4, 12" in page
+    batches = plot.named(EXPERIMENTS / "10_ablation/results", plot.GRID)
+    seeds = {
+        by: sum(b["seeds"] for b in batches if b["engine"] == by)
+        for by in ("MuJoCo Warp", "kernel")
+    }
+    text = f"{sum(seeds.values())} seeds, {seeds['MuJoCo Warp']} by MuJoCo Warp's own step and "
+    assert f"{text}{seeds['kernel']} by" in page and f"the {len(batches)} batches" in page
+
+
+def test_the_pages_say_what_the_first_seeds_gave_alone_and_what_those_added_did():
+    """17_regimes: evaluated gains of the tails of 20 rows over PPO-16, 1024 robots, by folder."""
+    regimes, results = script("17_regimes/table"), EXPERIMENTS / "17_regimes/results"
+    here = next(regime for regime in regimes.REGIMES if regime.label == "R = 1024")
+    pages = [(EXPERIMENTS / f"{name}/README.md").read_text() for name in ("17_regimes", "paper")]
+    for folder in (results, results / "more"):
+        kinds = (("ppo16", None), *((name, 20) for name in regimes.TAILS))
+        base, *tails = (
+            regimes.values(paper.load(folder, run.name(regimes.job(here, *kind))))["evaluated"]
+            for kind in kinds
+        )
+        for tail in tails:
+            found, p = stats.difference(tail, base), stats.welch_of(tail, base)
+            text = f"{found.value:+.1f} ({found.low:.1f} to {found.high:.1f}, p {p:.2g}"
+            text = text.replace("p 0.0023", "p 0.002").replace("p 0.0089", "p 0.009")
+            for page in pages:
+                assert text in " ".join(page.split()), text
+
+
+def test_tails_are_compared_with_the_real_rows_that_they_stand_for(tmp_path, monkeypatch):
+    """24 rows of 1024 robots: 20 real and 4 of the model, against PPO with 20 and with 24."""
+    cliff = script("17_regimes/cliff")
+    monkeypatch.setattr(cliff.table, "__file__", str(tmp_path / "17_regimes" / "table.py"))
+    folder, job = tmp_path / "17_regimes" / "results", script("10_ablation").job
+    for rows, last in {20: [10.0, 14.0], 24: [30.0, 34.0]}.items():
+        keep(folder, run.name(job(1024, rows)), [last] * 10)
+    name = "go1_dyna4_rollout.num_envs_1024_rollout.horizon_24"
+    keep(folder, name, [[20.0, 28.0]] * 10)
+    keep(folder / "more", name, [[20.0, 22.0]] * 10)
+    keep(tmp_path / "17_regimes" / "earlier", name, [[5.0, 7.0]] * 10)
+    keep(tmp_path / "12_platforms" / "results", "go1_ppo16", [[30.0, 30.0]] * 10)  # limit 24
+    table = cliff.build(folder)
+    assert [row["status"] for row in table].count("") == 5  # PPO-20 is in two groups
+    tail = paper.pick(table, batch="second", variant="dyna4", rows=24)
+    got = [tail[n] for n in ("seeds", "best_mean", "success_rate_pct", "sim_steps_M_mean")]
+    assert got == [4, 22.5, 25, 0.01]
+    ours = [20, 28, 20, 22]
+    assert tail["fewer_best_p"] == stats.welch_of(ours, [10, 14])
+    assert tail["all_best_p"] == stats.welch_of(ours, [30, 34])
+    assert tail["all_best_difference"] == 22.5 - 32 and tail["all_evaluated_difference"] == 0
+    earlier = paper.pick(table, batch="first", variant="dyna4", rows=24)
+    assert earlier["best_mean"] == 6 and "all_best_p" not in earlier  # never beside another batch
+
+
+def test_more_seeds_of_a_cell_are_pooled_and_cells_that_differ_most_come_first(tmp_path):
+    more, job = script("10_ablation/run"), script("10_ablation").job
+    for cell, returns in {(16, 12): [1.0, 2.0, 3.0], (32, 12): [1.0, 5.0, 9.0]}.items():
+        keep(tmp_path, run.name(job(*cell)), [returns] * 10)
+    grid = [(16, 12), (32, 12), (32, 16)]
+    assert more.few(tmp_path, grid, []) == [(32, 12), (16, 12)]
+    assert more.few(tmp_path, grid, [16]) == [(16, 12)]
+    keep(tmp_path / "more", run.name(job(32, 12)), [[7.0, 8.0]] * 10)
+    assert more.few(tmp_path, grid, []) == [(16, 12)]
+    row = paper.pick(more.plot.build(tmp_path, grid), envs=32, horizon=12)
+    assert (row["seeds"], row["max_reward_mean"]) == (5, 6.0)
+
+
+def test_a_tail_pays_where_its_steps_save_more_than_the_fit_takes():
+    """And a training's minutes are those of its phases, and a rest."""
+    plot = script("13_step_time")
+    found = plot.pays([30.0, 34.0, 32.0], [2.0, 2.1, 1.9])
+    assert found["pays_from"] == pytest.approx(16)
+    assert found["pays_from_low"] < 16 < found["pays_from_high"]
+    assert plot.pays([30.0], [2.0])["pays_from"] == 15
+    assert plot.pays([30.0, 34.0], [0.1, -0.2]) == {"pays_from": "never"}
+    assert np.isnan(plot.pays([30.0, 34.0], [0.1, 0.2])["pays_from_high"])  # or never
+    ms = {"physics": 1.0, "tail": 0.5, "fit": 4.0, "ppo": 2.0, "iteration": 20.0}
+    for real, synthetic, rounds in ((12, 4, 1), (4, 48, 3)):  # at this cost both take as long
+        even = plot.break_even(ms, (real, synthetic, 1, rounds))
+        tail = real * even + synthetic * ms["tail"] + ms["fit"] + rounds * ms["ppo"]
+        assert tail == pytest.approx((real + synthetic / rounds) * even + ms["ppo"])
+    settings = ["run.num_iterations=200"]
+    report = {"ms": ms, "settings": settings, "training_seconds": 6.0}
+    rows = plot.split({name: [report] for name in plot.VARIANTS})
+    tail = paper.pick(rows, variant="dyna4")
+    real = paper.sim_steps("configs/go1.py:dyna4", 500) / 4096 - 300 * 12
+    assert tail["physics_min"] == pytest.approx(real / 60e3)
+    assert tail["synthetic_min"] == pytest.approx(0.5 * (200 * 16 - real) / 60e3)
+    assert tail["fit_min"] == pytest.approx(4 * real / 12 / 60e3, rel=0.01)  # in whole minibatches
+    assert tail["ppo_min"] == pytest.approx(200 * 2 / 60e3) and tail["total_min_mean"] == 0.1
+    assert tail["rest_min"] == pytest.approx(0.1 - sum(tail[f"{p}_min"] for p in plot.PARTS))
+    assert paper.pick(rows, variant="dyna2")["times_of"] == "dyna4"
+
+
+def test_efficiency_counts_steps_and_success(tmp_path):
+    rising = np.arange(1, 41)[:, None]  # the return is the iteration
+    keep(tmp_path, "go1_ppo16", rising * [1.0, 1.0])
+    keep(tmp_path, "go1_dyna4", rising * [2.0, 0.5])
+    rows, top = script("14_efficiency").build(tmp_path, 10.0), "80 % of PPO-16"
+    base, tail = (paper.pick(rows, threshold=top, variant=v) for v in ("ppo16", "dyna4"))
+    assert (base["limit"], base["sim_steps_M_mean"]) == (32, 0.032)
+    assert tail["iterations_mean"] == 16 and not any(n.startswith("seconds") for n in tail)
+    # the seed that never gets there counts with all of its 40 iterations
+    assert (tail["share_of_ppo16_pct"], tail["share_of_ppo16_bound"]) == (100 * 28 / 32, "at least")
+    assert "p_steps" not in tail and "share_of_ppo16_pct" not in base
+    assert (base["success_rate_pct"], tail["success_rate_pct"]) == (100, 50)
+    printed = paper.pick(rows, threshold="paper, 30.5", variant="dyna4")
+    assert (printed["iterations_mean"], printed["paper_iterations"]) == (16, 383)
+    assert paper.pick(rows, threshold="80 % of the ablation's best")["limit"] == 8
+
+
+def test_efficiency_by_evaluation_and_against_earlier_batches_too(tmp_path):
+    """On the line between two evaluations, the first for a seed that is there already."""
+    count = np.arange(1, 7)
+    columns = {"iteration": count, "sim_steps": 1000 * count, "seconds": 2.0 * count}
+    columns = {name: np.stack([c, c, c], 1) for name, c in columns.items()}
+    columns["episode_return"] = np.zeros((6, 3))
+    columns["eval_return"] = np.full((6, 3), np.nan)
+    columns["eval_return"][1::2] = [[10.0, 50.0, 0.0], [20.0, 50.0, 5.0], [40.0, 50.0, 37.9]]
+    found = paper.evaluated(paper.Run(columns, {"compile_seconds": 100.0}), 38.0)
+    np.testing.assert_allclose(found["sim_steps"], [4000 + 2000 * 18 / 20, 2000, np.nan])
+    np.testing.assert_allclose(found["with_setup"], [100 + 8 + 4 * 0.9, 104, np.nan])
+    del columns["eval_return"]
+    never = paper.evaluated(paper.Run(columns, {}), 38.0)
+    assert np.isnan(never["iteration"]).all()
+
+    rising = np.arange(1, 41)[:, None]
+    keep(tmp_path / "results", "go1_ppo16", rising * [1.0, 1.1])
+    keep(tmp_path / "results", "go1_dyna2", rising * [2.0, 1.9])
+    keep(tmp_path / "earlier", "go1_ppo16", rising * [0.9, 0.8])
+    rows = script("14_efficiency").build(tmp_path / "results", None)
+    tail = paper.pick(rows, threshold="paper, 30.5", variant="dyna2")
+    ours, pooled = [16, 17], [31, 28, 34, 39]  # iterations, of 1000 steps
+    assert tail["pooled_pct"] == pytest.approx(100 * np.mean(ours) / np.mean(pooled))
+    assert tail["pooled_p"] == pytest.approx(stats.welch_of(ours, pooled))
+    assert tail["share_of_ppo16_pct"] == pytest.approx(100 * np.mean(ours) / np.mean(pooled[:2]))
+    evaluated = paper.pick(rows, threshold="evaluated", variant="dyna2")
+    assert evaluated["success_rate_pct"] == 0 and "pooled_p" not in evaluated
+
+
+@pytest.mark.slow
+def test_the_update_that_is_timed_beside_rsl_rl_is_ours_on_the_same_rows(monkeypatch):
+    """Returns by a loop; with them and without, one update is the same."""
+    peers = script("03_speed/peers")
+    monkeypatch.setattr(peers, "UPDATES", 1)
+    config = config_lib.load("configs/go1.py:ppo16")
+    config.rollout.update(num_envs=64, horizon=6)
+    config.ppo.update(hidden=(8,), epochs=1, minibatches=2)
+    groups, learner, rows = peers.learners(config)
+    static, hyper = groups["highest"]
+    calls, batch = peers.ours(static, hyper, learner, rows)
+    later = np.append(rows.value[1:], networks.value(static, learner.params, rows.next_obs[-1:]), 0)
+    advantage = np.zeros(64)
+    for t in reversed(range(6)):
+        left = rows.discount[t] * hyper.ppo.gamma
+        delta = rows.reward[t] + left * later[t] - rows.value[t]
+        advantage = delta + left * hyper.ppo.lambda_ * advantage
+        np.testing.assert_allclose(batch.returns[t], advantage + rows.value[t], atol=1e-5)
+    assert 0 < np.mean(rows.discount) < 1
+    one, other = (call()[0].params for call in calls)
+    jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-4, atol=1e-6), one, other)
+    assert (one["std"] != learner.params["std"]).any()
+
+
+def test_errors_of_the_model_are_those_of_a_loop(monkeypatch):
+    """Two predicted numbers of four robots, three rows; a robot that fell is not counted any more."""
+    probe, rng = script("11_model/probe"), np.random.default_rng(0)
+    rows = dict(action=rng.normal(size=(3, 4, 1)), next_prop=rng.normal(size=(3, 4, 2)))
+    rows |= dict(reward=rng.normal(size=(3, 4)), discount=np.ones((3, 4)))
+    rows = types.SimpleNamespace(**rows, truncation=np.zeros((3, 4)))
+    rows.discount[1, 2], rows.next_prop[2, 2] = 0, np.nan  # whatever it does after
+
+    def predict(static, hyper, env, model, obs, action):
+        return jnp.concatenate([0.5 * obs[:, :2], action], -1), 2 * obs[:, 0], None
+
+    monkeypatch.setattr(probe.dynamics, "predict", predict)
+    env, obs = types.SimpleNamespace(prop_size=2, action_size=1, dt=0.1), rng.normal(size=(4, 3))
+    rmse, spread = probe.errors(None, None, env, None, rows, obs)
+    robots = [0, 1, 2, 3]
+    for k in range(3):
+        reward, prop = 2 * obs[:, 0] / 0.1, 0.5 * obs[:, :2]
+        robots = [r for r in robots if rows.discount[k, r]]
+        truth, real = rows.next_prop[k][robots], rows.reward[k][robots] / 0.1
+        wrong = [((prop[robots] - truth) ** 2).mean(), ((reward[robots] - real) ** 2).mean()]
+        np.testing.assert_allclose(rmse[k], np.sqrt(wrong), rtol=1e-5)
+        np.testing.assert_allclose(spread[k], (np.sqrt(truth.var(0).mean()), real.std()), rtol=1e-5)
+        obs = np.concatenate([prop, rows.action[k]], -1)
+
+
+def test_swings_are_those_that_begin_and_end():
+    gait = script("16_gaits/gait")
+    air = np.array([[1, 1, 0, 1, 1, 0, 0, 1, 0, 1], [0, 0, 0, 0, 0, 0, 0, 0, 0, 0]], bool).T
+    np.testing.assert_array_equal(gait.air_phases(air), [2, 1])
+
+
+def test_no_seed_that_falls_is_left_out_of_the_gaits(tmp_path):
+    """Four seeds of each method walk, fall late, fall at once, creep; at 200 all of the tail walk."""
+    plot, nan = script("16_gaits"), np.nan
+    ends = [(0.1, nan, 0.9), (0.2, 5.0, 0.8), (nan, 0.6, nan), (0.7, nan, 0.49)]
+    names = (
+        "tracking_error fall speed_ahead air_time tilt swings_per_second yaw_error distance".split()
+    )
+    rows = []
+    for variant, iteration in itertools.product(plot.VARIANTS, (100, 200)):
+        for seed, end in enumerate(ends):
+            good = (variant, iteration) == ("dyna4", 200)
+            row = {"variant": variant, "iteration": iteration, "speed": 1.0, "seed": seed}
+            numbers = (*(ends[0] if good else end), 0.1 + 0.01 * seed, 2.0, 3.0, 0.0, 9.0)
+            rows.append(row | dict(zip(names, numbers, strict=True)))
+    paper.write(tmp_path / "episodes.csv", rows)
+    episodes = plot.load(tmp_path / "episodes.csv")
+    some = plot.at(episodes, "ppo16", 1.0, 100)
+    assert plot.numbers(some, "tracking_error") == [0.1, 0.2, 1.0, 0.7]  # 1.0: as if it stood still
+    assert [e["walks"] for e in some] == [1, 0, 0, 0]
+    np.testing.assert_array_equal(plot.numbers(some, "air_time"), [0.1, nan, nan, nan])
+    first = plot.walkers(episodes, "go1", 1.0)
+    assert (first["ppo16_first"], first["dyna4_first"]) == ("100 nan nan nan", "100 200 200 200")
+    assert first["p"] == stats.rank_sum([100, nan, nan, nan], [100, 200, 200, 200])
+
+
+def test_errors_that_fall_and_grow_are_ratios_of_one_run():
+    """Two seeds, two iterations: an error halves, and four steps have three times that of one."""
+    plot = script("11_model")
+    rows = [(i, s, k) for i in (5, 100) for s in (0, 1) for k in plot.STEPS]
+    iteration, seed, steps = np.array(rows, float).T
+    errors = {
+        "iteration": iteration,
+        "seed": seed,
+        "steps": steps,
+        "group": np.full(len(rows), "a"),
+    }
+    errors["rmse"] = (1 + seed) * np.where(iteration == 5, 2, 1) * (1 + 2 * np.log2(steps) / 2)
+    cells = paper.pick(plot.claims("go1", errors), steps=4)
+    assert cells["at_100_by_first_mean"] == pytest.approx(0.5)
+    assert cells["by_one_step_mean"] == pytest.approx(3)
+    assert (cells["by_one_step_sd"], cells["grows_at"], cells["of"]) == (pytest.approx(0), 2, 2)
+
+
+def test_tails_overlap_the_next_rollouts():
+    """By hand, from numbers of a buffer: a tail's row is compared with where physics went."""
+    plot, rng, buffers = script("18_rollouts"), np.random.default_rng(0), []
+    for i in range(plot.KEPT):
+        obs, one = np.zeros((24, 4, 48)), np.ones((24, 4))
+        obs[..., plot.ROWS["command"].start] = [0.2, 0.9, 0.5, 0.7 + (i == 3)]  # the last anew
+        one[3, 1] = one[20, 2] = 0  # the fastest falls; in a tail, where physics does not
+        buffer = dict(obs=obs, next_prop=rng.normal(size=(24, 4, 33)), reward=one, discount=one)
+        buffers.append(types.SimpleNamespace(**buffer, truncation=0 * one))
+    assert plot.steady(buffers).tolist() == [True, False, True, False]
+    row, k = plot.rows(buffers, 0.02)[40], plot.CURVES["calf"][0]
+    assert float(row["time"]) == pytest.approx(0.5)  # 8 + 17 rows
+    assert float(row["calf"]) == pytest.approx(buffers[1].next_prop[16, 2, k], rel=1e-4)
+    went = [buffers[i + 2].next_prop[7, [0, 2], k] for i in range(plot.TAILS)]
+    for name, t in (("calf_tail", 23), ("calf_still", 7)):
+        said = [buffers[i].next_prop[t, [0, 2], k] for i in range(plot.TAILS)]
+        expected = np.sqrt(np.mean(np.subtract(said, went) ** 2))
+        assert float(plot.distance(buffers)[15][name]) == pytest.approx(expected, rel=1e-3)
+
+
+def test_rollouts_are_kept_as_they_are_while_a_model_learns():
+    """On the toy: eight real rows, a tail of four, and the policy stays."""
+    record = script("18_rollouts/run")
+    small = {"rollout.horizon": 12, "model.clean": True, "model.minibatches": 3}
+    _, static, hyper = toy_env.settings(toy_env.TAIL | small)
+    env = toy_env.make()
+    state = jax.eval_shape(partial(algorithm.init, env, static=static), hyper, jax.random.key(0))
+    iterate, i = partial(record.iterate, env, static=static), jnp.int32(12)
+    after, buffer = jax.eval_shape(iterate, hyper, state, i, i)
+    assert jax.tree.structure(after) == jax.tree.structure(state)
+    assert buffer.reward.shape == (12, 16)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3000)
+def test_every_folder_runs_on_two_cores_and_again_from_what_is_there(tmp_path):
+    """In a working directory of its own."""
+    for name in ("configs", "robots"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    for folder in FOLDERS:
+        script = next(n for n in ("run.py", "plot.py") if (EXPERIMENTS / folder / n).exists())
+        command = [sys.executable, EXPERIMENTS / folder / script, "--quick"]
+        out = tmp_path / "runs" / "quick" / folder
+        subprocess.run(command, check=True, cwd=tmp_path, timeout=900)
+        first = (out / "results.csv").read_bytes()
+        trained = {p: p.stat().st_mtime_ns for p in out.glob("results/*")}
+        subprocess.run(command, check=True, cwd=tmp_path, timeout=60)
+        assert (out / "results.csv").read_bytes() == first
+        assert {p: p.stat().st_mtime_ns for p in out.glob("results/*")} == trained
+        assert list(out.glob("*.png"))

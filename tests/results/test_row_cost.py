@@ -1,0 +1,1136 @@
+"""30_row_cost: seconds over the cost of a row, its pages and its computations."""
+
+import importlib
+import json
+import re
+import sys
+import types
+from functools import partial
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from result_files import EXPERIMENTS, ROW_COST, script, shows
+
+from dynappo import schedule
+from dynappo.terrain import tiles
+from experiments import paper, stats
+
+
+def test_the_pages_of_seconds_have_the_tables_of_their_runs(monkeypatch, capsys):
+    """All runs in runs.md, `best` beside PPO on the page; no row is left out, and none is there twice."""
+    monkeypatch.setattr(sys, "argv", ["table.py"])
+    script(f"{ROW_COST}/table").main()
+    places = ("| go", "| g1", "| anymal")
+    for name, printed in zip(
+        ("runs", "README"), capsys.readouterr().out.strip().split("\n\n"), strict=True
+    ):
+        page = (EXPERIMENTS / ROW_COST / f"{name}.md").read_text().splitlines()
+        rows = [line for line in printed.splitlines() if line.startswith(places)]
+        assert len(rows) >= (84 if name == "runs" else 9)
+        assert rows == [line for line in page if line.startswith(places)]
+
+
+def test_what_the_pages_of_seconds_say_in_words_is_so():
+    """The short tables of settings.md and computed.md; how many settings ran; what rows and the rest cost;
+    how much sooner one is on a G1 and in the exact tasks, and which of these walk."""
+    table, folder = script(f"{ROW_COST}/table"), EXPERIMENTS / ROW_COST
+    found = table.runs()
+    run = {(one.place, one.batch, one.method): one for one in found}
+    pages = {
+        name: " ".join((folder / f"{name}.md").read_text().split())
+        for name in ("README", "runs", "settings", "computed")
+    }
+    assert f"all {len(found)} settings that ran" in pages["README"]
+    own = "H200, 2026-11-27"
+    for label, method in (
+        ("two rounds, 2048 robots", "best-r2n2048"),
+        ("one round, 2048 robots", "best-r1n2048"),
+        ("`best`", "best"),
+        ("PPO, 2048 robots", "ppo2048"),
+    ):
+        one = run["go1.kernel", f"{own}, second host", method]
+        level, walks = np.nanmean(one.level[:, 2]), np.nanmean(one.walks[:, 2])
+        never = int(np.isnan(one.walks[:, 2]).sum())
+        more = {0: "", 2: " (two of five seeds do not)"}[never]
+        assert f"| {label} | {level:.2f} | {walks:.2f}{more} |" in pages["settings"]
+    sooner = stats.difference(
+        *(run["go1.kernel", f"{own}, second host", m].level[:, 2] for m in ("best", "best-r2n2048"))
+    )
+    text = "two rounds are at the level {:.2f} s sooner ({:.2f} to {:.2f})"
+    assert text.format(*sooner) in pages["settings"]
+    power = table.power_of("go1.warp")
+    dear = table.cost(found, run["go1.warp", own, "best"])
+    for label, method in (("`best`", "best"), ("PPO, 2048 robots", "ppo2048")):
+        measured = run["go1.warp", own, method]
+        for goal, way in (("to the level", lambda one: one), ("to a walk", table.to_walk)):
+            older, then = (
+                f"{table.later(way(one), table.cost(found, one), dear, power).mean():.1f} "
+                for one in (run["go1.kernel", batch, method] for batch in (table.H100, own))
+            )
+            older = older if goal == "to the level" else ""  # of then `best` does not walk yet
+            slow = table.interval(way(measured).level[:, 2])
+            assert f"| {label}, {goal} | {older}| {then}| {slow} |" in pages["computed"]
+    rows = [
+        (run["go1.kernel", own, m].level[:, 1] / run["go1.kernel", own, m].robots).mean()
+        for m in ("best", "ppo2048", "ppo256")
+    ]
+    text = "needs {:.0f} rows of 1024 robots with `best`, and {:.0f} of 2048 or {:.0f} of 256"
+    assert text.format(*rows) in pages["README"]
+    newer, (g1, ppo) = "H200, 2026-11-28", ("g1.kernel", "ppo1024x12")
+    pair = [run[g1, newer, method] for method in ("best", ppo)]
+    (mine, its), (few, steps) = ([one.level[:, k] for one in pair] for k in (2, 1))
+    assert [len(mine), len(its)] == [10, 7]
+    text = "{:.2f} s ({:.2f} to {:.2f}), with".format(*stats.difference(mine, its))
+    text += " {:.2f} times the seconds ({:.2f} to {:.2f})".format(*stats.ratio(its, mine))
+    assert text + " and 5.1 times the steps" in pages["runs"]
+    gain, most, least = (100 * (1 - part) for part in stats.ratio(its, mine))
+    assert f"by {gain:.0f} % ({least:.0f} to {most:.0f})" in pages["README"]
+    text = "difference is {:.2f} s ({:.2f} to {:.2f})"
+    assert text.format(*stats.difference(*(one.walks[:, 2] for one in pair))) in pages["runs"]
+    gains, longer, cut, needs, rest = [], [], [], [], []
+    for place in ("go1.exact", "anymal_c.exact"):
+        pair = [run[place, newer, method] for method in ("best", "ppo2048")]
+        mine, its = (one.level[:, 2] for one in pair)
+        gains.append(stats.difference(its, mine))
+        longer.append(stats.ratio(its, mine))
+        cut.append(len(run[place, newer, "ppo512"].level))
+        rows = [one.level[:, 1] / one.robots for one in pair]
+        needs.append([some.mean() for some in rows])
+        rest.append(
+            [
+                np.mean((1e3 * one.level[:, 2] - some * one.row) / one.level[:, 0])
+                for one, some in zip(pair, rows, strict=True)
+            ]
+        )
+    text = "by {:.1f} s on a Go1 ({:.1f} to {:.1f}) and {:.1f} s on an ANYmal-C ({:.1f} to {:.1f})"
+    assert text.format(*gains[0], *gains[1]) in pages["runs"]
+    text = "takes {:.1f} ({:.1f} to {:.1f}) and {:.1f} times ({:.1f} to {:.1f}) as long"
+    assert text.format(*longer[0], *longer[1]) in pages["README"]
+    text = (
+        "needs {:.0f} rows of 1024 robots on a Go1 and {:.0f} on an ANYmal-C, PPO {:.0f} and {:.0f}"
+    )
+    assert text.format(*np.transpose(needs).ravel()) in pages["computed"]
+    text = "{:.1f} and {:.1f} ms an iteration with `best`, {:.1f} and {:.1f} with PPO"
+    assert text.format(*np.transpose(rest).ravel()) in pages["computed"]
+    walked = {
+        (place, method): int(np.isfinite(run[place, newer, method].walks[:, 2]).sum())
+        for place in ("go1.exact", "anymal_c.exact")
+        for method in ("best", "ppo512", "ppo1024", "ppo2048")
+    }
+    assert cut == [2, 4] and {key: n for key, n in walked.items() if n} == {
+        ("go1.exact", "best"): 2,
+        ("anymal_c.exact", "best"): 5,
+        ("anymal_c.exact", "ppo1024"): 1,
+    }
+    assert "All five ANYmal-C walk with `best`, two of five Go1" in pages["README"]
+
+
+def test_what_the_pages_of_seconds_say_of_a_g1_on_other_hosts_is_so(humanoid):
+    """`best` for seconds beside PPO of the first host, MuJoCo Warp's own step, and who walks by the end."""
+    table, folder = script(f"{ROW_COST}/table"), EXPERIMENTS / ROW_COST
+    found = table.runs()
+    pages = {
+        name: " ".join((folder / f"{name}.md").read_text().split())
+        for name in ("README", "runs", "settings", "computed")
+    }
+    first, second, third = (
+        f"H200, 2026-11-28{host}" for host in ("", ", second host", ", third host")
+    )
+    run = {(one.place, one.batch, one.method): one for one in found}
+    best, ppo = (run["g1.kernel", first, method] for method in ("best", "ppo1024x12"))
+    quick = run["g1.kernel", second, "best-kl4e3"]
+    dear = [
+        run["g1.warp", host, method] for host, method in ((second, "best"), (third, "ppo1024x12"))
+    ]
+    three = run["g1.warp", second, "ppo1024x12"]
+    assert [len(one.level) for one in (quick, *dear, three)] == [10, 5, 5, 3]
+    assert table.settings(found, "g1.warp") == (dear[0], [dear[1]])
+    seconds, steps = ([one.level[:, k] for one in (best, quick, ppo, *dear)] for k in (2, 1))
+    text = "takes {:.2f} s longer to the level ({:.2f} to {:.2f}), 1.01 times the seconds"
+    assert text.format(*stats.difference(seconds[2], seconds[1])) in pages["runs"]
+    text = "{:.2f} times as long ({:.2f} to {:.2f}), for {:.1f} times the steps: no difference"
+    more = stats.ratio(steps[2], steps[1])
+    assert text.format(*stats.ratio(seconds[2], seconds[1]), more.value) in pages["README"]
+    assert "and {:.1f} times the steps ({:.1f} to {:.1f})".format(*more) in pages["runs"]
+    text = "`best` takes {:.2f} s longer ({:.2f} to {:.2f}), for {:.2f} instead of {:.2f} M steps"
+    means = [steps[k].mean() / 1e6 for k in (0, 1)]
+    assert text.format(*stats.difference(seconds[0], seconds[1]), *means) in pages["runs"]
+    for words, one in (
+        ("three seeds take {:.1f} s longer to the level than `best`", three),
+        ("takes {:.1f} s longer to the level than `best` on the second host", dear[1]),
+    ):
+        text = words + " ({:.1f} to {:.1f}), for {:.1f} times the steps ({:.1f} to {:.1f})"
+        gain = stats.difference(one.level[:, 2], seconds[3])
+        more = stats.ratio(one.level[:, 1], steps[3])
+        assert text.format(*gain, *more) in pages["runs"]
+    text = "{:.2f} and {:.2f} s, a difference of {:.1f} s ({:.1f} to {:.1f})"
+    both = seconds[4], three.level[:, 2]
+    told = text.format(*(some.mean() for some in both), *stats.difference(*both))
+    assert told in pages["runs"]
+    longer = stats.ratio(seconds[4], seconds[3])
+    assert "{:.1f} times as long ({:.1f} to {:.1f})".format(*longer) in pages["README"]
+    # computed from the runs with our kernel, and measured
+    costs, power = [table.cost(found, one) for one in dear], table.power_of("g1.warp")
+    later = [
+        table.later(one, table.cost(found, one), ms, power)
+        for one, ms in zip((best, ppo), costs, strict=True)
+    ]
+    for label, computed, measured in (
+        (f"`best`, {costs[0]:.2f} ms a row, second host", later[0], seconds[3]),
+        (f"PPO, 1024 robots, 12 rows, {costs[1]:.2f} ms, third host", later[1], seconds[4]),
+    ):
+        line = f"| {label} | {table.interval(computed)} | {table.interval(measured)} |"
+        assert line in pages["computed"]
+    assert "it is {:.1f} and {:.1f}.".format(*(one.mean() for one in later)) in pages["README"]
+    text = "`best` took {:.2f} s longer than computed ({:.2f} to {:.2f}), PPO {:.2f} ({:.2f} to {:.2f})"
+    slower = [x for pair in zip(seconds[3:], later, strict=True) for x in stats.difference(*pair)]
+    assert text.format(*slower) in pages["computed"]
+    some = (best, ppo, quick, *dear)
+    rows = [(one.level[:, 1] / one.robots).mean() for one in some]
+    rest = [
+        np.mean((1e3 * one.level[:, 2] - one.level[:, 1] / one.robots * one.row) / one.level[:, 0])
+        for one in some
+    ]
+    text = "{:.0f} rows of 1024 robots, and PPO {:.0f}. All else takes {:.1f} ms an iteration"
+    text = text.format(rows[0], rows[1], rest[0]) + f" of 130, and {rest[1]:.1f} of 240."
+    text += (
+        f" With a KL of 0.04 and 3 epochs it is {rows[2]:.0f} rows, and {rest[2]:.1f} ms of 135."
+    )
+    text += " With MuJoCo Warp's step it is {:.0f} and {:.0f} rows, and".format(*rows[3:])
+    text += " {:.1f} ms of 128 and {:.1f} of 236.".format(*rest[3:])
+    assert text in pages["computed"]
+    # who walks by iteration 160, and who still falls there
+    known = [one.walks[:, 2] for one in (best, quick, *dear)]
+    assert [int(np.isfinite(one).sum()) for one in known] == [10, 8, 2, 5]
+    assert f"PPO's five walk, after {known[3].mean():.1f} s" in pages["README"]
+    falls, errors, last, parts = {}, {}, {}, {}
+    for row in table.read():
+        key = row["batch"], row["name"]
+        last.setdefault(key, {})[row["seed"]] = 1e3 * float(row["seconds"]) / int(row["iteration"])
+        parts[key] = {name: float(row[name] or "nan") for name in ("ppo_ms", "tail_ms", "fit_ms")}
+        if row["batch"] in (first, second) and row["iteration"] == "160":
+            errors.setdefault((row["batch"], row["name"]), []).append(
+                [float(row[name]) for name in ("tracking_error", "yaw_error")]
+            )
+            if float(row["fall_rate"]) > 0.01:
+                falls[row["name"], row["seed"]] = float(row["fall_rate"])
+    there, here = (first, "g1.kernel.best"), (second, "g1.kernel.best-kl4e3")
+    low, high = min(last[here].values()), max(last[here].values())
+    usual = {f"{ms:.0f}" for ms in last[there].values()}
+    assert (f"{low:.0f} to {high:.0f} ms, of `best` there 28" in pages["runs"]) and usual == {"28"}
+    text = "takes {:.1f} instead of {:.1f} ms, and there are three".format(
+        *(parts[key]["ppo_ms"] for key in (here, there))
+    )
+    assert text in pages["settings"]
+    less = [100 - 100 * parts[here][name] / parts[there][name] for name in ("tail_ms", "fit_ms")]
+    assert "take {:.1f} and {:.0f} % less".format(*less) in pages["computed"]
+    more = []
+    for host, name in ((second, "best"), (second, "ppo1024x12"), (third, "ppo1024x12")):
+        ms = last[host, f"g1.warp.{name}"]
+        usual = np.mean([ms[seed] for seed in ms if seed not in ("1100", "1101")])
+        more += [100 * (ms[seed] / usual - 1) for seed in ("1100", "1101")]
+    text = "with `best` by {:.0f} and {:.0f} %, with PPO by {:.0f} and {:.0f} %"
+    assert text.format(*sorted(more[:2]), *sorted(more[2:4])) in pages["runs"]
+    text = "Seeds 1100 and 1101 take {:.0f} and {:.0f} % longer an iteration"
+    assert text.format(*more[4:]) in pages["runs"]
+    falls = {key: share for key, share in falls.items() if ".best" in key[0] and "g1" in key[0]}
+    assert falls == {
+        ("g1.kernel.best-kl4e3", "1100"): 0.04,
+        ("g1.kernel.best-kl4e3", "1105"): 0.014,
+        ("g1.warp.best", "1100"): 0.015,
+        ("g1.warp.best", "1101"): 0.025,
+        ("g1.warp.best", "1104"): 0.015,
+    }
+    three = [
+        np.array(errors[key])
+        for key in (
+            (first, "g1.kernel.best"),
+            (second, "g1.warp.best"),
+            (second, "g1.kernel.best-kl4e3"),
+        )
+    ]
+    assert all(table.walks.tracks(*some.T).all() for some in three)
+    text = "{:.3f} m/s and {:.3f} rad/s in the mean with our kernel, {:.3f} and {:.3f} with MuJoCo"
+    assert text.format(*three[0].mean(0), *three[1].mean(0)) in pages["runs"]
+    assert "and {:.3f} and {:.3f} of `best-kl4e3`".format(*three[2].mean(0)) in pages["runs"]
+    counts = []
+    for batch in ("fresh-warp", "fresh-900", "fresh"):
+        some = [
+            row
+            for row in humanoid.table.read("tuning.csv.xz")
+            if row["batch"] == batch and row["name"].startswith("best")
+        ]
+        took, *scores = humanoid.table.evaluations(some)
+        early = took[:, 0] <= 0.7e6
+        reached = stats.reached_by_tracking(took[early], *(score[early] for score in scores))
+        counts.append(int(np.isfinite(reached.walks).sum()))
+    assert counts == [9, 10, 8]
+    fisher = pytest.importorskip("scipy.stats").fisher_exact
+    for (one, of), (other, among), p in (
+        ((2, 5), (10, 10), "p 0.022 (Fisher"),
+        ((2 + 9, 15), (10 + 10 + 8, 30), "11 of 15 and 28 of 30, p 0.16"),
+        ((8 + 6, 20), (10, 10), "beside ten of ten of `best` p 0.074"),
+        ((8 + 6, 20), (10 + 10 + 8, 30), "beside its 28 of 30 p 0.047"),
+    ):
+        value = fisher([[one, of - one], [other, among - other]]).pvalue
+        assert p in pages["runs"] and shows(re.findall(r"p (0\.\d+)", p)[0], value)
+    # `best` for seconds once more
+    again = run["g1.kernel", third, "best-kl4e3"]
+    there = again.level[np.isfinite(again.level[:, 2]), 2]
+    assert (len(there), int(np.isfinite(again.walks[:, 2]).sum())) == (9, 6)
+    for name in ("runs", "settings"):
+        assert f"after {there.mean():.2f} s" in pages[name]
+    rows = [row for row in table.read() if (row["batch"], row["name"]) == (third, here[1])]
+    ends = {row["seed"]: row for row in rows if row["iteration"] == "160"}
+    (late,) = np.flatnonzero(np.isnan(again.level[:, 2]))
+    late = [*ends.values()][late]
+    assert (
+        f"seed {late['seed']} still turns with an error of {float(late['yaw_error']):.2f}"
+        in pages["runs"]
+    )
+    every = [*seconds[1], *there, float(late["seconds"])]
+    text = "19 are, after {:.2f} s, and with the last one counted up to its end it is {}: PPO takes"
+    text = text.format(np.mean(every[:-1]), table.interval(every))
+    text += " {:.2f} times as long ({:.2f} to {:.2f})".format(*stats.ratio(seconds[2], every))
+    assert text in pages["runs"]
+    falling = {seed: float(row["fall_rate"]) for seed, row in ends.items()}
+    falling = {seed: share for seed, share in falling.items() if share > 0.01}
+    assert falling == {"1102": 0.02, "1104": 0.026, "1106": 0.022}
+    assert "three fall in 2.0 to 2.6 % of the episodes (1102, 1104, 1106)" in pages["runs"]
+
+
+def test_what_the_pages_of_seconds_say_of_rough_ground_is_so():
+    """`best`, `best` for seconds and PPO of the same card, and PPO of another host: to shares of tiles and to
+    the level, at the end, and what would be if they were evaluated as seldom."""
+    table, rough = script(f"{ROW_COST}/table"), script("28_rough/table")
+    found = table.runs()
+    best, (few, ppo) = table.settings(found, "go2.rough")
+    quick = table.fastest(table.variants(found, best))
+    day = "H200, 2026-11-28"
+    assert quick[1:3] == (f"{day}, fifth host", "best-r1e3") and ppo[1:3] == (
+        quick.batch,
+        "ppo4096",
+    )
+    assert few[1:3] == (f"{day}, fourth host", "ppo2048") and len(few.level) == 1
+    (other,) = [x for x in found if x[:3] == ("go2.rough", f"{day}, third host", "ppo4096")]
+    kept = {}
+    for row in table.read():
+        key = row["batch"], row["name"].removeprefix("go2.rough."), row["seed"]
+        kept.setdefault(key[:2], {}).setdefault(row["seed"], []).append(row)
+
+    def of(one):
+        return [*kept[one.batch, one.method].values()]
+
+    def column(rows, name):
+        return np.array([float(row[name]) for row in rows])
+
+    def clocks(one, share, name="seconds"):
+        return np.array(
+            [rough.first(column(rows, name), column(rows, "crossed"), share) for rows in of(one)]
+        )
+
+    def crossed(one, after=np.inf):
+        return 100 * np.array(
+            [np.interp(after, column(x, "seconds"), column(x, "crossed")) for x in of(one)]
+        )
+
+    def around(one, digits=1):
+        return "{:.{d}f} ({:.{d}f} to {:.{d}f})".format(*one, d=digits)
+
+    def within(one, words, digits=1):  # 3.9 times the steps (2.1 to 5.9)
+        return around(one, digits).replace(" (", f" {words} (")
+
+    def line(label, values):
+        return f"| {label} | " + " | ".join(values) + " |"
+
+    four = best, quick, ppo, other
+    level, steps = ([one.level[:, k] for one in four] for k in (2, 1))
+    walked = [one.walks[np.isfinite(one.walks[:, 2]), 2] for one in four]
+    last = [column([rows[-1] for rows in of(one)], "seconds").mean() for one in four]
+    ends = [crossed(one) for one in four]
+    falls = [100 * column([rows[-1] for rows in of(one)], "fell") for one in four]
+    every = [int(of(one)[0][0]["iteration"]) for one in four]
+    ms = [
+        1e3 * np.mean([float(x[-1]["seconds"]) / int(x[-1]["iteration"]) for x in of(one)])
+        for one in four
+    ]
+    updates = [float(of(one)[0][0]["ppo_ms"]) for one in four]
+    seventy, eighty = ([clocks(one, share) for one in four] for share in (0.7, 0.8))
+    to_80 = [clocks(one, 0.8, "sim_steps") for one in four]
+
+    def ten(some):
+        return np.concatenate(some[2:])
+
+    good = [[rough.at_level(rough.shares(row)) for row in rows] for one in four for rows in of(one)]
+    counts = [sum(some) for some in good]
+    assert {len(some) for some in good[5:10]} == {36} and {len(x) for x in good[10:]} == {15}
+    seldom = np.array(  # [begin, seed]
+        [[table.reached(rows[k::7])[0, 2] for rows in of(quick)] for k in range(7)]
+    )
+    assert round(every[2] * ms[2] / (every[1] * ms[1])) == 7  # "seven times as often"
+    there = (~np.isnan(seldom)).sum(1)
+    assert (there.min(), there.max()) == (2, 5)  # "two to five"
+    seldom = np.nanmean(seldom, axis=1)
+    rows = [(one.level[:, 1] / one.robots).mean() for one in four]
+    rest = [
+        np.mean((1e3 * one.level[:, 2] - one.level[:, 1] / one.robots * one.row) / one.level[:, 0])
+        for one in four
+    ]
+    even = {}
+    for mine, its in ((best, ppo), (best, other), (quick, ppo)):
+        cost = table.cost(found, mine)
+        here = [table.at_cost(found, its, cost)]
+        for power in (table.power_of(mine.place), 1.0):
+            even[mine.method, its.batch, power == 1] = table.break_even(mine, here, cost, power)
+    points = stats.difference(crossed(ppo, last[1]), crossed(quick, last[1]))
+    then = [crossed(one, last[0]) for one in four]
+    assert f"{then[3].mean():.0f}" == f"{then[2].mean():.0f}"
+    later, longer = stats.difference(level[2], level[1]), stats.ratio(level[2], level[1])
+    more, default = stats.ratio(steps[2], steps[1]), stats.ratio(steps[2], steps[0])
+    slower = stats.ratio(level[0], level[1])
+    thirds = stats.ratio(steps[3], steps[0])
+    said = {
+        "30_row_cost/README.md": [
+            f"after {level[2].mean():.1f} with PPO on the same card:"
+            f" {within(longer, 'times as long', 2)}, for {within(more, 'times the steps')}",
+            f"two to five of its five seeds are there, after {seldom.min():.1f} to {seldom.max():.1f} s",
+            f"{ten(eighty).mean():.1f} s, in ten runs on two hosts, instead of {eighty[1].mean():.1f}",
+            f"crosses {ends[1].mean():.0f} % of tiles, PPO {ends[2].mean():.0f} % after"
+            f" {last[2] / last[1]:.1f} times as long",
+            f"PPO with 2048 robots on rough ground one of five ({few.level[0, 2]:.1f} s)",
+        ],
+        "30_row_cost/runs.md": [
+            line("70 % of all tiles, s", map(table.interval, seventy)),
+            line("80 %", map(table.interval, eighty)),
+            line(
+                "first at the level, s (first to last seed)",
+                (f"{x.mean():.2f} ({x.min():.2f} to {x.max():.2f})" for x in level),
+            ),
+            line("the same, M steps", (f"{x.mean() / 1e6:.2f}" for x in steps)),
+            line(
+                "at the level at the end, and from when on: seeds, s",
+                (f"{len(x)}, {x.mean():.2f}" for x in walked),
+            ),
+            line(
+                "at the end: of all tiles, s",
+                (f"{x.mean():.0f} %, {s:.1f}" for x, s in zip(ends, last, strict=True)),
+            ),
+            line("falls at the end (seeds)", (f"{x.min():.0f} to {x.max():.0f} %" for x in falls)),
+            line(
+                "evaluated every: iterations, s",
+                (
+                    f"{n}, {n * x / 1e3:.{2 if n == 25 else 1}f}"
+                    for n, x in zip(every, ms, strict=True)
+                ),
+            ),
+            line("an iteration, ms", (f"{x:.1f}" for x in ms)),
+            f"at the level by {within(later, 's').replace(')', '')},"
+            f" Welch's p {stats.welch_of(level[2], level[1]):.2f}),"
+            f" {within(longer, 'times the seconds', 2)} and {within(more, 'times the steps')}",
+            f"all ten runs of PPO it is {within(stats.difference(ten(level), level[1]), 's')} and"
+            f" {within(stats.ratio(ten(steps), steps[1]), 'times the steps')}",
+            f"{175 * ms[1] / 1e3:.1f} s apart, two to five seeds of `best-r1e3` are there, after"
+            f" {seldom.min():.1f} to {seldom.max():.1f} s",
+            f"to 80 % by {within(stats.difference(eighty[1], eighty[2]), 's on that card')}, and by"
+            f" {around(stats.difference(eighty[1], ten(eighty))).replace(' (', ' with all ten runs (')[:-1]},"
+            f" p {stats.welch_of(eighty[1], ten(eighty)):.2f}), for"
+            f" {within(stats.ratio(ten(to_80), to_80[1]), 'times the steps')}",
+            f"After its {last[1]:.1f} s it crosses {crossed(quick, last[1]).mean():.0f} % of tiles, PPO"
+            f" {crossed(ppo, last[1]).mean():.0f} % by then ({points.value:.1f} points more,"
+            f" {points.low:.1f} to {points.high:.1f})",
+            f"At its end PPO has {within(stats.difference(ends[2], ends[1]), 'points more')}, and the"
+            f" default `best` {around(stats.difference(ends[0], ends[1]))}",
+            f"in {min(counts[5:10])} to {max(counts[5:10])} of 36 evaluations, PPO's, in runs almost"
+            " three times as long, in"
+            f" {min(counts[10:])} to {max(counts[10:])} of 15 on both hosts",
+            f"takes {within(slower, 'times the seconds of `best-r1e3` to the level')},"
+            f" and `best-r1e3` {within(stats.ratio(steps[1], steps[0]), 'times its steps')}",
+            f"default by {within(stats.difference(level[0], level[2]), 's')} on the fifth host, for"
+            f" {within(default, 'times the steps')}, and by"
+            f" {around(stats.difference(level[0], level[3]))} on the third, for"
+            f" {within(thirds, 'times')}. After the {last[0]:.1f} s of `best` PPO crosses"
+            f" {then[2].mean():.0f} % of tiles on both,"
+            f" {within(stats.difference(ten(then), then[0]), 'points more with all ten runs')}",
+            f"one seed before it was cut off: {few.level[0, 2]:.2f} s, {few.level[0, 1] / 1e6:.1f} M",
+            f"0.36 ms on the second and fifth hosts, one of 4096 {ppo.row:.2f} on the fifth and"
+            f" {other.row:.2f} on the third; so one of 1024"
+            " {:.2f}, {:.2f} and {:.2f}".format(
+                *(table.cost(found, x) for x in (best, ppo, other))
+            ),
+        ],
+        "30_row_cost/computed.md": [
+            f"{rows[0]:.0f} rows of 2048 robots with `best`, {rows[1]:.0f} with `best` for seconds and"
+            f" {rows[2]:.0f} of 4096 with PPO on the same card. All else takes {rest[0]:.1f} ms an"
+            f" iteration of 460, {rest[1]:.1f} of 620, and {rest[2]:.1f} of 420. Of `best` three updates"
+            f" take {3 * updates[0]:.0f} of it, of `best` for seconds its one {updates[1]:.1f}.",
+            "it would be {:.1f} ms on a Go2 ({:.2f} to {:.1f})".format(
+                *even["best", ppo.batch, False]
+            ),
+            "{:.2f} ({:.2f} to {:.1f}) if a row costs as".format(*even["best", ppo.batch, True]),
+            "it would be {:.1f} ({:.2f} to {:.1f}) and".format(*even["best", other.batch, False]),
+            "and {:.2f} ({:.2f} to {:.2f}). `best` for".format(*even["best", other.batch, True]),
+            "in the mean from {0:.2f} ms on, and up to {2:.1f} no".format(
+                *even["best-r1e3", ppo.batch, False]
+            ),
+        ],
+        "28_rough/README.md": [
+            f"after {level[2].mean():.1f}, for {within(default, 'times the steps')}",
+            f"`best` takes {level[1].mean():.1f} s on PPO's card",
+            f"it was evaluated seven times as often, ends at {ends[1].mean():.0f} % of all tiles",
+        ],
+        "28_rough/time.md": [
+            f"{eighty[0].mean():.1f} s for 80 % of tiles and {level[0].mean():.1f} to the level,"
+            f" {last[0]:.1f} for the whole run; with one round, three epochs and a KL of 0.03 it takes"
+            f" {eighty[1].mean():.1f}, {level[1].mean():.1f} and {last[1]:.1f}; with PPO and 4096 robots"
+            f" on that same card {eighty[2].mean():.1f}, {level[2].mean():.1f} and {last[2]:.1f}.",
+            f"for {more.value:.1f} times the steps with PPO. But PPO ends at {ends[2].mean():.0f} instead"
+            f" of {ends[1].mean():.0f} % of tiles, and with ten runs on two hosts it is sooner at 80 %,"
+            f" after {ten(eighty).mean():.1f} s",
+            f"takes {ms[0]:.1f} ms, {3 * updates[0]:.0f} of them three updates; with one round and three"
+            f" epochs {ms[1]:.1f}, {updates[1]:.1f} of them its one; one of PPO {ms[2]:.1f},"
+            f" {updates[2]:.1f} of them its one",
+        ],
+        "../docs/results.md": [
+            "a Go2 on rough ground from {:.2f} or {:.1f}, by".format(
+                *(even["best", ppo.batch, alone][0] for alone in (True, False))
+            )
+        ],
+        "28_rough/ppo.md": [
+            f"they need {within(stats.ratio(to_80[2], to_80[0]), 'times the steps to 80 % of tiles')} and"
+            f" {within(default, 'times to the level')}, on another"
+            f" {around(stats.ratio(to_80[3], to_80[0]))} and {around(thirds)}",
+            f"end at {ends[2].mean():.0f} and {ends[3].mean():.0f} % of tiles,"
+            f" {around(stats.difference(ends[2], ends[0]))} and"
+            f" {within(stats.difference(ends[3], ends[0]), 'points')} above these `best`",
+        ],
+    }
+    labels = {
+        "tune-r1e3": "one round, e3",
+        "tune-r1": "one round",
+        "tune-r2e3": "two rounds, e3",
+        "tune-r2": "two rounds",
+        "tune-e3": "three rounds, e3",
+    }
+    tuned = {x.method: x for x in found if x[:2] == ("go2.rough", f"{day}, fourth host")}
+    assert {*tuned} == {*labels, "ppo2048"}
+    lines = said["30_row_cost/settings.md"] = [
+        f"takes {level[1].mean():.2f} s instead of the {level[0].mean():.2f} of `best`, and PPO"
+        f" {level[2].mean():.2f} on the same card"
+    ]
+    for method, label in labels.items():
+        one = tuned[method]
+        seeds = of(one)
+        took = np.mean([1e3 * float(x[-1]["seconds"]) / int(x[-1]["iteration"]) for x in seeds])
+        low, high = sorted(crossed(one), reverse=method == "tune-e3")  # as the seeds are
+        cost = f"{took:.1f} | {one.level[:, 2].mean():.2f} | {one.level[:, 1].mean() / 1e6:.2f}"
+        lines.append(
+            f"| {label} | {cost} | {clocks(one, 0.8).mean():.2f} | {low:.0f} and {high:.0f} % |"
+        )
+    for name, texts in said.items():
+        page = " ".join((EXPERIMENTS / name).read_text().split())
+        for text in texts:
+            assert text in page, (name, text)
+
+
+def test_what_the_pages_of_seconds_say_of_a_g1s_ppo_on_the_fifth_host_is_so():
+    """All its ten seeds beside the seven of the host of `best`, which the tables have."""
+    table = script(f"{ROW_COST}/table")
+    found = table.runs()
+    pages = {
+        name: " ".join((EXPERIMENTS / f"{name}.md").read_text().split())
+        for name in (f"{ROW_COST}/README", f"{ROW_COST}/runs", "25_humanoid/seconds")
+    }
+    best, (seven,) = table.settings(found, "g1.kernel")
+    quick = table.fastest(table.variants(found, best))
+    (ten,) = [
+        x for x in found if x[:3] == ("g1.kernel", "H200, 2026-11-28, fifth host", "ppo1024x12")
+    ]
+    assert seven.batch == best.batch and [len(x.level) for x in (seven, ten)] == [7, 10]
+    its, mine, fast, usual = (x.level[:, 2] for x in (ten, quick, seven, best))
+    runs = pages[f"{ROW_COST}/runs"]
+    for text in (
+        f"PPO takes {table.interval(its)} s** to the level here",
+        f"{table.interval(fast)}: "
+        + "{:.2f} s more ({:.2f} to {:.2f})".format(*stats.difference(its, fast)),
+        "host takes {:.2f} s longer ({:.2f} to {:.2f})".format(*stats.difference(usual, its)),
+        "PPO {:.2f} times the seconds ({:.2f} to {:.2f})".format(*stats.ratio(its, usual)),
+        "for {:.1f} times the steps ({:.1f} to {:.1f})".format(
+            *stats.ratio(ten.level[:, 1], best.level[:, 1])
+        ),
+        "second takes {:.2f} s less ({:.2f} to {:.2f})".format(*stats.difference(its, mine)),
+        "PPO {:.2f} times ({:.2f} to {:.2f})".format(*stats.ratio(its, mine)),
+        "for {:.1f} times the steps ({:.1f} to {:.1f})".format(
+            *stats.ratio(ten.level[:, 1], quick.level[:, 1])
+        ),
+        f"PPO takes {ten.walks[:, 2].mean():.2f} s, and so does `best`",
+        "difference of {:.2f} s ({:.2f} to {:.2f})".format(
+            *stats.difference(best.walks[:, 2], ten.walks[:, 2])
+        ),
+    ):
+        assert text in runs, text
+    ms = table.cost(found, best)
+    here = table.at_cost(found, ten, ms)
+    walks = table.to_walk(best), [table.to_walk(ten)]
+    cells = (
+        table.even(best, [here], ms),
+        table.even(walks[0], [table.at_cost(found, walks[1][0], ms)], ms),
+        table.for_seconds(found, quick, [ten]).removeprefix("; for seconds "),
+    )
+    text = "it would be {}, to a walk {}, and with settings for seconds {}."
+    computed = " ".join((EXPERIMENTS / ROW_COST / "computed.md").read_text().split())
+    assert text.format(*cells).replace("0.5 (", "0.50 (") in computed
+    text = f"take {table.interval(its)} s: " + "{:.2f} times as long as `best` ({:.2f} to {:.2f})"
+    assert text.format(*stats.ratio(its, usual)) in pages["25_humanoid/seconds"]
+
+
+def test_what_the_pages_of_seconds_say_of_a_g1_with_settings_for_seconds_is_so():
+    """`best-kl4e3` and PPO on the sixth host, and all runs of that day."""
+    table = script(f"{ROW_COST}/table")
+    found, day = table.runs(), "H200, 2026-11-28"
+    ours, theirs = (
+        {
+            x.batch: x
+            for x in found
+            if (x.place, x.method) == ("g1.kernel", method) and day in x.batch
+        }
+        for method in ("best-kl4e3", "ppo1024x12")
+    )
+    assert [len(x.level) for x in ours.values()] == [10] * 3
+    assert sorted(len(x.level) for x in theirs.values()) == [7, 10, 10]
+    last = {}  # batch -> seed -> row
+    for row in table.read():
+        if row["name"] == "g1.kernel.best-kl4e3" and row["iteration"] == "160":
+            last.setdefault(row["batch"], {})[row["seed"]] = row
+
+    def counted(run, name, at):
+        ends = [float(row[name]) for row in last[run.batch].values()]
+        return np.where(np.isnan(run.level[:, at]), ends, run.level[:, at])
+
+    pages = {
+        name: " ".join((EXPERIMENTS / f"{name}.md").read_text().split())
+        for name in (
+            f"{ROW_COST}/README",
+            f"{ROW_COST}/runs",
+            f"{ROW_COST}/settings",
+            "25_humanoid/seconds",
+        )
+    }
+    host = f"{day}, sixth host"
+    mine, ppo = ours[host], theirs[host]
+    there = mine.level[np.isfinite(mine.level[:, 2]), 2]
+    late = [[*last[host].values()][k] for k in np.flatnonzero(np.isnan(mine.level[:, 2]))]
+    its, ends = ppo.level[:, 2], counted(mine, "seconds", 2)
+    runs = pages[f"{ROW_COST}/runs"]
+    errors = [float(row["yaw_error"]) for row in late]
+    one = "PPO takes {:.2f} times as long ({:.2f} to {:.2f})".format(*stats.ratio(its, ends))
+    for text in (
+        f"PPO takes {table.interval(its)} s** to the level, and all ten walk, after"
+        f" {table.interval(ppo.walks[:, 2])}",
+        f"at the level by iteration 160, after {table.interval(there)} s; seeds {late[0]['seed']} and"
+        f" {late[1]['seed']} turn with errors of {errors[0]:.2f} and {errors[1]:.2f} rad/s",
+        f"it is {table.interval(ends)}: {one}, "
+        + "{:.2f} s more ({:.2f} to {:.2f})".format(*stats.difference(its, ends)),
+    ):
+        assert text in runs, text
+    assert (len(there), np.isfinite(mine.walks[:, 2]).sum()) == (
+        8,
+        6,
+    )  # "Eight of ten", "Six of ten walk"
+    assert one in pages[f"{ROW_COST}/README"]
+    assert f"on a sixth host eight do, after {there.mean():.2f} s" in pages[f"{ROW_COST}/settings"]
+    all_ours, all_theirs = (
+        [np.concatenate([of(run, k) for run in some.values()]) for k in (2, 1)]
+        for some, of in (
+            (ours, lambda run, k: counted(run, {1: "sim_steps", 2: "seconds"}[k], k)),
+            (theirs, lambda run, k: run.level[:, k]),
+        )
+    )
+    assert sum(np.isfinite(x.level[:, 2]).sum() for x in ours.values()) == 27
+    walk = [sum(np.isfinite(x.walks[:, 2]).sum() for x in some.values()) for some in (ours, theirs)]
+    assert walk == [20, 27] and len(all_theirs[0]) == 27
+    slower = "{:.2f} times as long ({:.2f} to {:.2f}".format(
+        *stats.ratio(all_theirs[0], all_ours[0])
+    )
+    steps = "{:.1f} times the steps ({:.1f} to {:.1f})".format(
+        *stats.ratio(all_theirs[1], all_ours[1])
+    )
+    more = "{:.2f} s more, {:.2f} to {:.2f}".format(*stats.difference(all_theirs[0], all_ours[0]))
+    p = stats.welch_of(all_theirs[0], all_ours[0])
+    both = table.interval(all_ours[0]), table.interval(all_theirs[0])
+    text = "`best-kl4e3` takes {} s and PPO {}: ".format(*both)
+    assert f"{text}{slower}; {more}, Welch's p {p:.2f}), for {steps}" in runs
+    assert f"takes {slower}), for {steps.split(' (')[0]}" in pages[f"{ROW_COST}/README"]
+    assert f"to their end it takes {all_ours[0].mean():.2f} s" in pages[f"{ROW_COST}/README"]
+    text = (
+        "it takes {} s, where runs that do not get there count with their last second, which is too"
+    )
+    text += " little, and PPO on three hosts {}: "
+    assert text.format(*both) + slower + ")" in pages["25_humanoid/seconds"]
+    # PPO, judged by when `best-kl4e3` ends
+    least, soon = (
+        np.mean([float(r["seconds"]) for some in last.values() for r in some.values()]),
+        [],
+    )
+    for batch in theirs:
+        each = {}
+        for r in table.read():
+            if (r["batch"], r["name"]) == (batch, "g1.kernel.ppo1024x12") and float(
+                r["seconds"]
+            ) <= 3.62:
+                each.setdefault(r["seed"], []).append(r)
+        soon += [np.isfinite(table.reached(rows)[:, 0]) for rows in each.values()]
+    assert len(soon) == 27 and f"{least:.1f}" == "3.6"
+    text = (
+        "by the {:.1f} of `best-kl4e3` {:.0f} of its 27 are at the level, too, and {:.0f} walk if"
+    )
+    assert text.format(least, *np.sum(soon, 0)) in runs
+    text = f"of a G1 {all_ours[0].mean():.2f}, 3.65 and {all_theirs[0].mean():.2f} on several"
+    assert text in pages[f"{ROW_COST}/README"]
+
+
+def around(one, digits=1, words=""):
+    """4.8 times as long (3.7 to 7.0)"""
+    return "{:.{d}f}{} ({:.{d}f} to {:.{d}f})".format(one[0], words, *one[1:], d=digits)
+
+
+def of_host(table, host):
+    """The rows of its jobs: name -> seed -> rows."""
+    found = {}
+    for row in table.read():
+        if row["batch"] == host:
+            found.setdefault(row["name"], {}).setdefault(row["seed"], []).append(row)
+    return found
+
+
+def test_what_the_pages_of_seconds_say_of_ppo_with_512_robots_in_the_exact_tasks_is_so():
+    """All five seeds, on another host than `best`, and those that the call's end left of the first."""
+    table, day = script(f"{ROW_COST}/table"), "H200, 2026-11-28"
+    host = f"{day}, seventh host"
+    found, jobs = table.runs(), of_host(table, host)
+    run = {one[:3]: one for one in found}
+    lines, between, few, falls = [], [], [], []
+    for place, label, count in (("go1.exact", "Go1", 4), ("anymal_c.exact", "ANYmal-C", 5)):
+        one, cut_off = (run[place, batch, "ppo512"] for batch in (host, day))
+        clock = one.level[:, 2]
+        known = clock[np.isfinite(clock)]
+        assert (len(clock), len(known)) == (5, count) and np.isnan(one.walks).all()
+        between.append(stats.difference(known, cut_off.level[:, 2]))
+        few.append(stats.ratio(table.steps(one), run[place, day, "best"].level[:, 1]))
+        told = ["never" if np.isnan(x) else f"{x:.2f}" for x in clock]
+        lines.append(f"| {label}: s to the level | " + " | ".join(told) + " |")
+        last = [rows[-1] for rows in jobs[f"{place}.ppo512"].values()]
+        percent = [100 * float(row["fall_rate"]) for row in last]
+        told = [
+            f"{float(row['return']):.1f}, {x:.1f} %" for row, x in zip(last, percent, strict=True)
+        ]
+        lines.append("| return and falls at the end | " + " | ".join(told) + " |")
+        falls.append(f"{min(percent):.1f} to {max(percent):.1f} % of the five")
+    go1, anymal = (run[place, host, "ppo512"] for place in ("go1.exact", "anymal_c.exact"))
+    rows = [
+        f"{f(one):.2f}"
+        for f in (lambda x: x.row, partial(table.cost, found))
+        for one in (go1, anymal)
+    ]
+    highest = max(float(row["return"]) for row in jobs["go1.exact.ppo512"]["1102"])
+    lines += [
+        f"after {table.interval(go1.level[:, 2])} s. Seed 1102 does not: its highest return is"
+        f" {highest:.1f}. With its whole run counted the five take"
+        f" {table.interval(table.steps(go1) / 1e6)} M steps, which is too little, and at least"
+        f" {around(few[0], words=' times those of `best`')}",
+        f"after {table.interval(anymal.level[:, 2])} s, for {around(few[1], words=' times the steps')}",
+        f"of a Go1's four and two seeds {around(between[0], words=' s')}, of an ANYmal-C's five and"
+        f" four {around(between[1])}",
+        f"it is {falls[1]} ANYmals and {falls[0]} Go1",
+        "took {} and {} ms there; so one of 1024 {} and {} (computed)".format(*rows),
+    ]
+    slower = []
+    for name in ("go1.exact.ppo512", "anymal_c.exact.ppo512"):
+        ms = {seed: float(rows[-1]["seconds"]) for seed, rows in jobs[name].items()}
+        usual = np.mean([ms[seed] for seed in ms if seed not in ("1100", "1101")])
+        slower += [100 * (ms[seed] / usual - 1) for seed in ("1100", "1101")]
+    lines.append(f"on the seventh host by {min(slower):.0f} to {max(slower):.0f} %")
+    page = " ".join((EXPERIMENTS / ROW_COST / "runs.md").read_text().split())
+    for text in lines:
+        assert text in page, text
+
+
+def test_what_the_pages_of_seconds_say_of_mjx_jax_is_so():
+    """`best` and PPO with 2048 robots of one host, `best` and PPO with 1024 of two others, and what was
+    computed from the runs with our kernel."""
+    table, day = script(f"{ROW_COST}/table"), "H200, 2026-11-28"
+    found, host = table.runs(), f"{day}, eighth host"
+    run = {one[:3]: one for one in found}
+    pages = {
+        name: " ".join((EXPERIMENTS / ROW_COST / f"{name}.md").read_text().split())
+        for name in ("README", "runs", "computed")
+    }
+    best, ppo = run["go1.jax", host, "best"], run["go1.jax", host, "ppo2048"]
+    before = run["go1.jax", f"{day}, sixth host", "best"]
+    few = run["go1.jax", f"{day}, seventh host", "ppo1024"]
+    assert table.settings(found, "go1.jax") == (best, [few, ppo])
+    assert table.fastest_beside(best, [few, ppo]) is ppo and table.sparing([few, ppo]) is few
+    assert table.fastest([few, ppo]) is few  # by 0.04 s, on another host
+    both = [one.level[:, 2].mean() for one in (ppo, few)]
+    assert "on one host: {:.2f} instead of {:.2f} s)".format(*both) in pages["README"]
+    assert np.isfinite([ppo.walks, few.walks, before.walks]).all() and len(ppo.walks) == 5
+    walked = best.walks[np.isfinite(best.walks[:, 2]), 2]
+    jobs = of_host(table, host)
+    last = {
+        name: [rows[-1] for rows in jobs[f"go1.jax.{name}"].values()] for name in ("best", ppo[2])
+    }
+    (late,) = np.flatnonzero(np.isnan(best.walks[:, 2]))
+    assert last["best"][late]["seed"] == "1103" and float(last["best"][late]["fall_rate"]) == 0.015
+    # the first of the four: at the last evaluation alone
+    assert [*jobs["go1.jax.best"]][0] == "1100" and best.walks[0, 0] == 150 and len(walked) == 4
+    ended = float(last["best"][late]["seconds"])
+    counted = [*walked, ended]
+    every = [
+        np.mean([10 * float(row["seconds"]) / int(row["iteration"]) for row in last[name]])
+        for name in ("best", "ppo2048")
+    ]
+    both = np.concatenate([best.level, before.level])[:, 2]
+    clocks = ppo.level[:, 2], best.level[:, 2]
+    longer, more = stats.ratio(*clocks), around(stats.difference(*clocks), words=" s longer")
+    least = "{:.0f} times the steps ({:.0f} to {:.0f})".format(
+        *stats.ratio(ppo.level[:, 1], best.level[:, 1])
+    )
+    ours = {m: run["go1.kernel", "H200, 2026-11-27", m] for m in ("best", "ppo1024", "ppo2048")}
+    steps = [stats.ratio(one.level[:, 1], ours[one.method].level[:, 1]) for one in (few, ppo)]
+    at = table.at_cost(found, few, best.row).level[:, 2]
+    gap = stats.difference(clocks[0], few.level[:, 2])
+    cells = [table.interval(one.level[:, 2]) for one in (ppo, best, few)]
+    for text in (
+        f"PPO takes {cells[0]} s and `best` {cells[1]}: {more},"
+        f" {around(longer, words=' times as long')}, for {least}. Beside all ten runs of `best`,"
+        f" {table.interval(both)} s, it is {around(stats.ratio(clocks[0], both), words=' times')}",
+        f"PPO takes {table.interval(ppo.walks[:, 2])} s, all five. Of `best` four walk, after"
+        f" {walked.mean():.2f}; the first",
+        f"is at the level from {best.level[late, 2]:.1f} s on, but falls in 3 of 200",
+        f"up to its end, {ended:.1f} s, which is too little, `best` takes {np.mean(counted):.2f} s and PPO"
+        f" {around(stats.ratio(ppo.walks[:, 2], counted), words=' times as long')}. On the sixth host all"
+        f" five walk, after {before.walks[:, 2].mean():.2f}.",
+        "which take {:.1f} s with `best` and {:.1f} with PPO. So its seconds may be {:.1f} too".format(
+            *every, every[1]
+        ),
+        f"takes {cells[2]} s to the level; with 2048 it is no different ({gap.value:.1f} s more,"
+        f" {gap.low:.1f} to {gap.high:.1f}). A row of 1024 took {few.row:.2f} ms there and"
+        f" {best.row:.2f} on the eighth. If its rows had cost these {best.row:.2f}, it would have taken"
+        f" {at.mean():.2f} s, {around(stats.ratio(at, clocks[1]), words=' times as long as `best`')}",
+        "It needs {:.1f} times the steps ({:.1f} to {:.0f}), which".format(
+            *stats.ratio(few.level[:, 1], best.level[:, 1])
+        ),
+        f"which is {steps[0].value:.2f} times those of the same setting with our kernel"
+        f" ({steps[0].low:.2f} to {steps[0].high:.2f})",
+        f"with 2048 robots it is {around(steps[1], 2, ' times')}",
+    ):
+        assert text in pages["runs"], text
+    # computed from the runs with our kernel
+    power, cost = table.power_of("go1.jax"), table.cost(found, ours["best"])
+    mine, its = (table.later(ours[m], cost, best.row, power) for m in ("best", "ppo2048"))
+    walk = table.later(table.to_walk(ours["ppo2048"]), cost, best.row, power)
+    slow = table.later(ours["ppo1024"], cost, few.row, power)
+    for measured, computed in ((best.level, mine), (ppo.level, its), (ppo.walks, walk)):
+        gap = stats.difference(measured[:, 2], computed)
+        assert gap.low < 0 < gap.high  # "Of none a difference is shown"
+    text = (
+        f"{best.row:.1f} ms a row, a Go1 is at its level after {clocks[1].mean():.2f} s with `best` and after"
+        f" {clocks[0].mean():.2f} with PPO with 2048 robots, one after the other on one card:"
+        f" {around(longer, words=' times as long')}, for {least}. PPO's five walk, after"
+        f" {ppo.walks[:, 2].mean():.2f} s, of `best` [four by their end](runs.md#go1), after"
+        f" {walked.mean():.2f}. On two other hosts it was {before.level[:, 2].mean():.2f} s with `best` and,"
+        f" with 1024 robots, {few.level[:, 2].mean():.2f}; there all walked. Before PPO with 2048 robots ran,"
+        " this page had computed 11.3 s for it from the runs with our kernel; at the cost of a row that was"
+        f" measured then it is {its.mean():.1f}, for `best` {mine.mean():.1f}."
+    )
+    assert text in pages["README"]
+    rows = [one.level[:, 1] / one.robots for one in (best, ppo)]
+    rest = [
+        f"{np.mean((1e3 * one.level[:, 2] - some * one.row) / one.level[:, 0]):.1f}"
+        for one, some in zip((best, ppo), rows, strict=True)
+    ]
+    less = around(stats.difference(slow, few.level[:, 2]), words=" s less")
+    even = table.even(best, [table.at_cost(found, one, best.row) for one in (few, ppo)], best.row)
+    for text in (
+        f"would take {mine.mean():.1f} s with `best` to the level, measured {cells[1]}, and"
+        f" {its.mean():.1f} with PPO with 2048 robots, measured {cells[0]}; to a walk PPO would take"
+        f" {walk.mean():.1f}, measured {table.interval(ppo.walks[:, 2])}. Of none",
+        f"would take {slow.mean():.1f} s to the level, measured {cells[2]}: {less}, because it needed"
+        f" {steps[0].value:.2f} times the steps.",
+        f"needs {rows[0].mean():.0f} rows of 1024 robots with `best` and {rows[1].mean():.0f} of 2048 with"
+        f" PPO. All else takes {rest[0]} ms an iteration of {best.level[:, 0].mean():.0f}, and {rest[1]} of"
+        f" {ppo.level[:, 0].mean():.0f}.",
+        f"alone, is {even.replace(' (', ' ms (')}, too, beside PPO with 1024 and 2048 robots.",
+    ):
+        assert text in pages["computed"], text
+
+
+def test_what_the_pages_of_seconds_say_of_two_cores_is_so():
+    """`best` of :laptop and PPO with 512 and 256 robots; also as if they had been evaluated all the time."""
+    table, batch = script(f"{ROW_COST}/table"), "two cores, 2026-11-28"
+    found, jobs = table.runs(), of_host(table, batch)
+    run = {one.method: one for one in found if one[:2] == ("go1.laptop", batch)}
+    pages = {
+        name: " ".join((EXPERIMENTS / ROW_COST / f"{name}.md").read_text().split())
+        for name in ("README", "runs")
+    }
+    best, many, few = (run[name] for name in ("best", "ppo512", "ppo256"))
+    assert table.settings(found, "go1.laptop") == (best, [many, few])
+    assert table.fastest([many, few]) is many and table.sparing([many, few]) is few
+
+    def at_38(name, column):
+        """Read off a line between evaluations."""
+        times = []
+        for rows in jobs[f"go1.laptop.{name}"].values():
+            returns, values = ([float(row[key]) for row in rows] for key in ("return", column))
+            k = next(i for i, value in enumerate(returns) if value >= 38)
+            times.append(np.interp(38, returns[k - 1 : k + 1], values[k - 1 : k + 1]))
+        return np.array(times)
+
+    last = {name: [seed[-1] for seed in jobs[f"go1.laptop.{name}"].values()] for name in run}
+    ms = {
+        name: [1e3 * float(row["seconds"]) / int(row["iteration"]) for row in rows]
+        for name, rows in last.items()
+    }
+    each = {
+        name: every * np.mean(ms[name]) / 1e3
+        for name, every in (("ppo256", 40), ("best", 25), ("ppo512", 20))
+    }
+    clocks, steps = ({m: at_38(m, c) for m in run} for c in ("seconds", "sim_steps"))
+    usual = ms["ppo256"][:4]
+    seconds = [one.level[:, 2] for one in (best, many, few)]
+    ratios = [stats.ratio(one.level[:, 1], best.level[:, 1]) for one in (many, few)]
+    fewer = "1.1 times the steps ({1:.2f} to {2:.1f})"
+    assert [f"{x.value:.1f}" for x in ratios] == ["1.8", "1.1"]
+    for text in (
+        f"it takes {seconds[2].mean():.1f} s, `best` {seconds[0].mean():.1f}:"
+        f" {around(stats.difference(seconds[2], seconds[0]), words=' s more')}, for"
+        f" {fewer.format(*ratios[1])}",
+        "needs {:.2f} times the steps of PPO with 512 robots ({:.2f} to {:.2f})".format(
+            *stats.ratio(few.level[:, 1], many.level[:, 1])
+        ),
+        "every {ppo256:.0f} s or so, `best` every {best:.0f} and `ppo512` every {ppo512:.0f}".format(
+            **each
+        ),
+        "`best` takes {best:.1f} s, `ppo512` {ppo512:.1f} and `ppo256` {ppo256:.1f}: ".format(
+            **{name: some.mean() for name, some in clocks.items()}
+        )
+        + around(stats.difference(clocks["ppo256"], clocks["best"]), words=" s more than `best`")
+        + f", for {fewer.format(*stats.ratio(steps['ppo256'], steps['best']))}",
+        f"an iteration of it takes {ms['ppo256'][4]:.0f} ms, of the other four {min(usual):.0f} to"
+        f" {max(usual):.0f}, at whose mean it would be at the level after"
+        f" {few.level[4, 0] * np.mean(usual) / 1e3:.1f} s, not {few.level[4, 2]:.1f}",
+        f"256 robots took {few.row:.1f} ms, of 512 {many.row:.1f} (`ppo512`) and {best.row:.1f}",
+    ):
+        assert text in pages["runs"], text
+    # who walks, and who but for the last evaluation would
+    assert [f"{one.walks[:, 0]}" for one in (few,)] == ["[160. 160.  nan  nan 120.]"]
+    for seed, since in (("1102", 160), ("1103", 120)):
+        *rows, end = jobs["go1.laptop.ppo256"][seed]
+        assert float(end["fall_rate"]) == 0.02 and table.reached(rows)[1, 0] == since
+    ends = [float(last[name][0]["sim_steps"]) / 1e6 for name in ("best", "ppo256")]
+    assert "ended at {:.1f} M steps, PPO at {:.1f} M".format(*ends) in pages["runs"]
+    longer = [stats.ratio(some, seconds[0]) for some in seconds[1:]]
+    text = "{:.1f} s with `best` of `:laptop` and {:.1f} with PPO with as many robots, 1.1 times as long"
+    text += " ({:.2f} to {:.1f}), for 1.8 times the steps ({:.1f} to {:.1f}). PPO with 256 robots and its"
+    text += " settings of the GPU takes {:.1f} s, 1.2 times as long ({:.2f} to {:.1f}), for "
+    cells = seconds[0].mean(), seconds[1].mean(), *longer[0][1:], *ratios[0][1:]
+    text = text.format(*cells, seconds[2].mean(), *longer[1][1:]) + fewer.format(*ratios[1])
+    assert text in pages["README"]
+    even = table.even(best, [many, few], table.cost(found, best)).partition(" (")
+    assert f"[{even[0]} ms](runs.md#two-cores) ({even[2][:-1]}; computed)" in pages["README"]
+
+
+def test_marks_of_rows_that_cost_nearly_the_same_stand_apart():
+    plot = script(f"{ROW_COST}/plot")
+    where = plot.apart([0.2, 2.2, 2.33, 2.44, 40.0])
+    assert where[[0, 4]] == pytest.approx([0.2, 40.0])
+    assert where[2:4] / where[1:3] == pytest.approx(plot.APART)
+    assert np.prod(where[1:4]) == pytest.approx(2.2 * 2.33 * 2.44)  # about where they were
+
+
+def test_seconds_and_steps_are_drawn_over_the_cost_of_a_row(drawn):
+    script(f"{ROW_COST}/plot").main()
+    assert drawn == ["row_cost"]
+
+
+def test_seconds_are_counted_to_the_level_and_until_it_walks():
+    table = script(f"{ROW_COST}/table")
+    about = {"batch": "G, day", "name": "go1.kernel.best", "job": "go1:best rollout.num_envs=512"}
+    found = []
+    for seed, folder, clock in (("0", "a", 2.0), ("0", "b", 4.0), ("1", "a", 6.0)):
+        for at, value in ((10, 20.0), (20, 38.5), (30, 37.0), (40, 39.0)):
+            row = {"seed": seed, "run": folder, "iteration": at, "sim_steps": at * 1000}
+            row |= {"seconds": clock * at, "return": value, "fall_rate": "0.01", "row_ms": "0.2"}
+            found.append(about | row)
+    (run,) = table.of_rows(found)
+    assert run[:4] == ("go1.kernel", "G, day", "best", 512) and run.row == 0.2
+    # a seed's clock is the median of its runs: 60 and 120; it walks after the relapse at 30
+    np.testing.assert_allclose(run.level, [[20, 20_000, 60], [20, 20_000, 120]])
+    np.testing.assert_allclose(run.walks, [[40, 40_000, 120], [40, 40_000, 240]])
+    assert table.cells(run.walks) == ["2", "0.04", "180.00"]
+    low = about | {"seed": "2", "iteration": 1, "sim_steps": 1, "seconds": 1}
+    (run,) = table.of_rows([*found, low | {"return": 30.0, "fall_rate": 0.0}])
+    assert np.isnan(run.walks[2]).all() and table.cells(run.walks)[0] == "2 of 3"
+    assert table.cells(run.walks[2:]) == ["0 of 1", "-", "-"]
+    # 90, 60 and 120: mean 90, t(2) 4.303 x 30 / sqrt(3)
+    assert table.interval([90, 60, 120]) == "90.00 ± 74.52"
+
+
+def test_a_g1_counts_errors_and_rough_ground_crossings():
+    table = script(f"{ROW_COST}/table")
+    rows = [
+        {"iteration": k, "sim_steps": k, "seconds": k / 2, "fall_rate": falls, "job": "g1:best"}
+        | {"tracking_error": error, "yaw_error": 0.2}
+        for k, (error, falls) in enumerate(((0.3, 0.0), (0.2, 0.1), (0.1, 0.0)), 1)
+    ]
+    np.testing.assert_allclose(table.reached(rows), [[2, 2, 1.0], [3, 3, 1.5]])
+    rows = [
+        {"iteration": k, "sim_steps": k, "seconds": k, "job": "go2:rough", "crossed": "0.5"}
+        | dict.fromkeys(tiles.KINDS, " ".join([share] * 10))
+        for k, share in enumerate(("0.9", "0.96", "0.9", "1.0"), 1)
+    ]
+    np.testing.assert_allclose(table.reached(rows), [[2, 2, 2], [4, 4, 4]])
+
+
+def test_seconds_where_a_row_costs_more_and_where_two_runs_break_even():
+    """`best`: 100 rows of 1024 robots and 2 s; PPO: 1000 rows of 2048 and 1 s, or 5000 of 256 and 5 s."""
+    table = script(f"{ROW_COST}/table")
+    noise = np.array([-0.01, 0, 0.01])[:, None]
+
+    def run(method, robots, rows, seconds):
+        level = np.array([[1, rows * robots, seconds]]) * (1 + noise * [0, 0, 1])
+        return table.Run("go1.kernel", "G, day", method, robots, level, level, np.nan)
+
+    best, fast = run("best", 1024, 100, 2.0), run("ppo2048", 2048, 1000, 1.0)
+    few = run("ppo256", 256, 5000, 5.0)
+    # 2 ms more a row: 0.2 s; 1000 rows of twice as many robots 2 ** power times 2 s
+    np.testing.assert_allclose(table.later(best, 1.0, 3.0, 1.0).mean(), 2.2)
+    np.testing.assert_allclose(table.later(fast, 1.0, [1.0, 3.0], 0.5).mean(0), [1, 1 + 2 * 2**0.5])
+    # with a row as dear as its robots: 2 + 0.1 (c - 1) = 1 + 2 (c - 1) at c = 1 + 1 / 1.9
+    even, low, high = table.break_even(best, [fast, few], 1.0, 1.0)
+    assert even == pytest.approx(1 + 1 / 1.9, rel=0.02)
+    assert 1.4 < low <= even <= high < 1.7
+    assert table.fastest([fast, few]) is fast and table.sparing([fast, few]) is few
+    # a run with a seed that never gets there says nothing
+    assert table.even(best, [fast, few], 1.0) == "{:.2g} ({:.2g} to {:.2g})".format(
+        *table.break_even(best, [fast, few], 1.0, table.POWERS["a GPU"])
+    )
+    never = table.to_walk(best._replace(walks=best.level * [[1], [1], [np.nan]]))
+    assert table.even(never, [fast], 1.0) == "-" == table.even(best, [], 1.0)
+    # the last batch with five seeds wins, else the one with most
+    found = [best, fast, few]
+    assert table.settings(found, "go1.kernel") == (best, [fast, few])
+    assert table.settings([best], "go1.kernel") is None
+    # of a setting of PPO the host with most seeds, of the day of `best` if one has run then
+    more = np.concatenate([fast.level, fast.level])
+    other = fast._replace(batch="G, day, second host", level=more, walks=more)
+    later = fast._replace(batch="G, later")
+    assert table.beside([best, fast, few, other], best) == [other, few]
+    assert table.beside([best, fast, later], best) == [fast]
+    assert table.beside([best, later, few._replace(batch="H, day")], best) == [later]
+    # but that of `best` if it has five; of equals that of `best` for seconds; a single seed is no mean
+    five, ten = (np.concatenate([fast.level] * k) for k in (2, 4))
+    own, there = fast._replace(level=five), other._replace(level=ten)
+    assert table.beside([best, own, there], best) == [own]
+    one, two = (other._replace(batch=f"G, later, host {k}", level=five) for k in (1, 2))
+    quick = best._replace(method="best-r1", batch=one.batch)
+    for order in ([one, two], [two, one]):
+        assert table.beside([best, quick, *order], best) == [one]
+    assert table.variants([best, quick], best) == [best, quick]
+    assert table.host_beside(quick, best) == ", later, host 1"
+    assert table.host_beside(other, best) == ", second host" and not table.host_beside(fast, best)
+    single = fast._replace(level=fast.level[:1] * 0.1)
+    assert table.sparing([few, fast, single]) is few and table.sparing([single]) is single
+    # settings for seconds: those on tuning seeds only until others have run on fresh ones, both by name
+    tuned, chosen = run("tune-r1", 1024, 100, 1.5), run("best-r1", 1024, 100, 1.6)
+    assert table.variants([*found, tuned], best) == [best, tuned]
+    assert table.variants([*found, tuned, chosen], best) == [best, chosen]
+    assert "(tune-r1, tuning seeds) |" in table.compared([*found, tuned])
+    assert "(best-r1) |" in table.compared([*found, tuned, chosen])
+    # it ran on a second host, where a row costs 2 ms and not 1: 0.1 s less for its 100 rows on the first
+    first = [best._replace(row=1.0), fast, few]
+    there = chosen._replace(batch="G, day, second host", row=2.0)
+    assert table.at_cost([*first, there], there, 1.0).level[:, 2].mean() == pytest.approx(1.5)
+    # 1.5 + 0.1 (c - 1) = 1 + 1.16 (c - 1); beside PPO of its own host 1.6 + 0.1 (c - 2) = 1 + 1.16 (c - 2)
+    assert "; for seconds 1.5 (" in table.compared([*first, there])
+    beside = fast._replace(batch=there.batch)
+    assert "; for seconds 2.6 (" in table.compared([*first, there, beside])
+    assert "; for seconds" not in table.compared(first)
+    # no difference is shown at any cost
+    alike = run("ppo1024", 1024, 100, 2.01)
+    assert table.even(best, [alike], 1.0) == "0.1 (below 0.1 to over 100)"
+    # of PPO the host with five seeds, though one of them does not get there: it counts with its whole run
+    level = np.concatenate([few.level, few.level])
+    level[0] = np.nan
+    late = few._replace(batch="G, day, second host", level=level, end=3e6)
+    assert table.there(late) == 5 / 6 and table.steps(late)[0] == 3e6
+    assert table.settings([*found, late], "go1.kernel") == (best, [fast, late])
+    assert table.fastest([late, fast]) is fast and table.sparing([late, fast]) is late
+    assert "at least 15 (" in table.compared([*found, late])
+    level[:3] = np.nan
+    assert table.settings([*found, late], "go1.kernel") == (best, [fast])
+    assert table.settings([best, late], "go1.kernel") is None
+    # the fastest is of the host of `best` where a setting with five seeds ran there, though another is faster
+    slow = fast._replace(method="ppo1024", level=five * [1, 1, 3])
+    assert table.fastest_beside(best, [fast, slow]) is slow
+    assert table.fastest_beside(best, [other, slow._replace(batch=other.batch)]) is other
+    assert table.fastest_beside(best, [fast, few]) is fast
+
+
+def test_jobs_of_the_row_costs_are_valid_and_of_places_that_have_a_name():
+    measure = script(f"{ROW_COST}/run")
+    places = script(f"{ROW_COST}/plot").LABELS
+    lines = (EXPERIMENTS / ROW_COST / "jobs.txt").read_text().splitlines()
+    assert len({line.split()[0] for line in lines}) == len(lines) == 49
+    for line in lines:
+        name, job, *fields = line.split()
+        place, _, method = name.rpartition(".")
+        read = measure.read(job, fields)
+        assert place in places and (read.engine == "mujoco_warp") == place.endswith("warp")
+        assert 10 <= len(measure.ends(read.config)) <= 36
+        uses_model = schedule.uses_model(read.config)
+        assert uses_model != method.startswith("ppo")
+        assert read.seeds >= 5 or method.startswith("tune")
+    with pytest.raises(SystemExit, match="engine is 'c', expected mujoco_warp"):
+        measure.read("go1:best", ["engine=c"])
+
+
+def test_a_run_alone_is_timed_between_evaluations_and_keeps_its_policies(monkeypatch):
+    measure = script(f"{ROW_COST}/run")
+    job = measure.read("go1:best", ["run.num_iterations=20", "seeds=2", "rollout.num_envs=16"])
+    clock = iter([1.0, 1.5, 7.0, 7.25])
+    monkeypatch.setattr(measure.time, "perf_counter", lambda: next(clock))
+
+    def step(hyper, state, columns):
+        more = len(columns["iteration"])
+        params = state.learner.params + more
+        metrics = {"policy_std": np.ones(more), "iteration": columns["iteration"]}
+        return types.SimpleNamespace(learner=types.SimpleNamespace(params=params)), metrics
+
+    program = types.SimpleNamespace(step=step, hyper=0, columns=schedule.columns(job.config))
+    state = types.SimpleNamespace(learner=types.SimpleNamespace(params=jnp.zeros(())))
+    rows, policies = measure.train(job.config, program, state)
+    steps = schedule.sim_steps(job.config)
+    assert [row["seconds"] for row in rows] == ["0.5000", "0.7500"]
+    assert [row["sim_steps"] for row in rows] == [steps[9], steps[19]]
+    assert policies == [10, 20] and (job.seeds, job.episodes) == (2, 500)
+
+
+def test_what_a_rough_row_costs_is_as_the_page_says():
+    kernels = importlib.import_module("experiments.28_rough.kernels")
+    folder = EXPERIMENTS / "28_rough"
+    page = (folder / "time.md").read_text()
+    assert kernels.table(paper.rows(folder / "results/kernels.csv")) in page
+    words, readme = (" ".join(text.split()) for text in (page, (folder / "README.md").read_text()))
+    for name in ("bench", "bench_blind"):
+        measured = json.loads((folder / f"results/{name}.json").read_text())["configs"]
+        rough, flat = (measured[config]["ms"] for config in ("go2:rough", "go2"))
+        row = rough["physics"], flat["physics"]
+        assert f"{row[0] / row[1]:.2f} times" in words and f"{row[0] / row[1]:.2f}" in readme
+        assert (row[0] / row[1] < 1.5) == (name == "bench_blind")  # the goal
+        assert {measured[config]["commit"] for config in measured} == {"a6010c447993-dirty"}
+        assert "({:.3f} instead of {:.3f} ms)".format(*row) in words
+    with_scan = json.loads((folder / "results/bench.json").read_text())["configs"]
+    tails = (with_scan[config]["ms"]["tail"] for config in ("go2:rough", "go2"))
+    assert "a row of the tail takes {:.3f} instead of {:.3f} ms".format(*tails) in words
