@@ -40,6 +40,36 @@ def test_jobs_of_few_robots_are_valid_and_evaluated_on_the_way_to_45_thousand_st
                 assert config.schedule.late_from is None
 
 
+def test_jobs_of_seconds_are_those_of_the_table_of_robots():
+    """27_few/seconds.txt: the settings of `robots-` in jobs.txt, and of `few` itself, on other seeds."""
+    measure, folder = script("30_row_cost/run"), EXPERIMENTS / "27_few"
+    jobs, seconds = (
+        dict(line.split(None, 1) for line in (folder / f"{file}.txt").read_text().splitlines())
+        for file in ("jobs", "seconds")
+    )
+    assert [name.split("-")[1] for name in seconds] == "64 16 4 1 256 1024".split()
+    for name, line in seconds.items():
+        job, *fields = line.split()
+        mine = measure.read(job, fields)
+        other = config_lib.load("configs/go1.py:few")
+        for field in jobs.get(name.replace("few", "robots"), f"{job} run.eval_every=20").split()[
+            1:
+        ]:
+            config_lib.override(other, *field.split("=", 1))
+        other.run.log_every = other.run.eval_every
+        its = config_lib.flat(config_lib.validate(other))
+        changed = {k: x for k, x in config_lib.flat(mine.config).items() if x != its[k]}
+        known = {
+            "run.seed",
+            "run.num_seeds",
+            "run.eval_envs",
+            "run.eval_every",
+            "run.checkpoint_every",
+        }
+        assert changed.keys() <= known and changed["run.seed"] == 1100, (name, changed)
+        assert mine.config.rollout.num_envs == int(name.split("-")[1])
+
+
 def test_fresh_seeds_of_few_pair_with_those_of_its_table():
     """In 27_few's jobs.txt, and what ran: the seeds and evaluations of fresh.txt."""
     folder = EXPERIMENTS / "27_few"
