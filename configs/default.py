@@ -155,7 +155,6 @@ class Model(NamedTuple):
     # real rows of past iterations (model/memory.py)
     memory: Whole = 0  # rows of each robot that are kept; 0: none
     remembered: Annotated[int, Between(0, 100)] = 0  # of them, beside each new row of a minibatch
-    weight_decay: Positive | None = None  # of the weights, a step, times the learning rate
     symmetry: bool = False  # learn from mirrored rows, too (learner/symmetry.py)
     # a predicted prop stays within so many standard deviations of the model's inputs; None: no bound
     bound: Positive | None = None

@@ -171,7 +171,7 @@ def fit(
             return dynamics.loss(static, hyper, unflatten(params), x=x, y=y, weight=weight)
 
         value, grads = jax.value_and_grad(loss)(params)
-        updates, opt_state = dynamics.optimizer(hyper).update(with_image(grads), opt_state, params)
+        updates, opt_state = dynamics.optimizer().update(with_image(grads), opt_state)
         return (params - hyper.model.learning_rate * updates, opt_state), value
 
     (params, opt_state), metrics = dynamics.passes(

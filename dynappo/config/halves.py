@@ -163,7 +163,6 @@ class HyperModel(NamedTuple):
     huber_delta: float
     learning_rate: float
     stats_decay: float
-    weight_decay: float | None
 
 
 class HyperPhysics(NamedTuple):

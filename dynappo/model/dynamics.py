@@ -167,7 +167,7 @@ def fit(
         of = jax.value_and_grad(partial(loss, static, hyper))
         value, grads = of(params, x=minibatch.x, y=minibatch.y, weight=weight)
         grads = symmetry.mean(grads, image(mirrors))
-        updates, opt_state = optimizer(hyper).update(grads, opt_state, params)
+        updates, opt_state = optimizer().update(grads, opt_state)
         rate = hyper.model.learning_rate
         params = jax.tree.map(lambda old, update: old - rate * update, params, updates)
         return (params, opt_state), value
@@ -187,18 +187,10 @@ def fit(
     return model.replace(params=params, opt_state=opt_state), metrics
 
 
-def optimizer(hyper: Hyper | None = None) -> optax.GradientTransformation:
-    """Adam without its learning rate, which the step applies; with weight decay, if there is any."""
-    adam = optax.scale_by_adam()
-    if hyper is None or hyper.model.weight_decay is None:
-        return adam
-    decay = hyper.model.weight_decay
-
-    def update(grads, state, params):
-        updates, state = adam.update(grads, state)
-        return jax.tree.map(lambda change, old: change + decay * old, updates, params), state
-
-    return optax.GradientTransformation(adam.init, update)
+def optimizer() -> optax.GradientTransformation:
+    """Adam without its learning rate, which the step applies. Of weight decay nothing is shown with few data,
+    where it might help (experiments/27_few/parts.md)."""
+    return optax.scale_by_adam()
 
 
 def with_moments_of(

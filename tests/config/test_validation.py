@@ -56,7 +56,6 @@ WRONG = [  # fields, what the line begins with, what is expected
     (REMEMBERS | ASKED | {"task.heading": True}, "schedule.new_commands is True", "headings"),
     ({"model.symmetry": True}, "model.symmetry is True", "False where ppo.symmetry is False"),
     (TIED | {"model.hidden": (8, 7)}, "model.hidden is (8, 7)", "even sizes where model.symmetry"),
-    ({"model.weight_decay": 0.0}, "model.weight_decay is 0.0", "more than 0"),
     ({"model.bound": 0.0}, "model.bound is 0.0", "more than 0"),
     ({"model.bound": -3.0}, "model.bound is -3.0", "more than 0"),
     ({"run.eval_envs": -1}, "run.eval_envs is -1", "0 to 1,000,000"),

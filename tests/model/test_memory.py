@@ -246,7 +246,7 @@ def together(history, env):
 @pytest.fixture(scope="module")
 def everything(env):
     """All options at once: `(config, static, hyper, run of one seed)`."""
-    fields = {"rollout.imagined": MANY, "model.weight_decay": 1e-3}
+    fields = {"rollout.imagined": MANY}
     config, static, hyper = settings(fields)
 
     def run(hyper, state, columns):
@@ -389,24 +389,6 @@ def test_a_symmetric_fit_is_a_fit_to_rows_and_mirrored_rows(tied):
     other = jax.tree.map(lambda a, b: jnp.where(a == 0, 0.0, b), one.params, other.params)
     assert_close(one.params, other, 2e-3)
     assert_close(losses, expected, 1e-4)
-
-
-def test_weight_decay_draws_each_weight_to_zero(tied):
-    """By its share of the learning rate in a step, beside Adam's; both fits."""
-    static, hyper, _, rows, model = tied
-    static = static._replace(model=static.model._replace(minibatches=1))
-    found = []
-    for fit in (dynamics.fit, fast.fit):
-        decayed = hyper._replace(model=hyper.model._replace(weight_decay=0.5))
-        run = jax.jit(partial(fit, static))
-        after = [
-            run(h, model, rows, jnp.int32(1), jax.random.key(0))[0].params for h in (hyper, decayed)
-        ]
-        gone = jax.tree.map(lambda a, b: a - b, *after)
-        shrunk = jax.tree.map(lambda w: hyper.model.learning_rate * 0.5 * w, model.params)
-        assert_close(gone, shrunk, 1e-5)
-        found.append(after[1])
-    assert_close(*found, 1e-5)
 
 
 def test_off_it_is_the_program_of_before(env):

@@ -48,7 +48,6 @@ FIELDS = {  # 4 robots that fall, step, stand and bend their joints far, all wit
     "task.kp": 3.0,
     "task.weights.foot_clearance": -2.0,  # else task.clearance_height would do nothing
     # in the program where they are not None
-    "model.weight_decay": 0.01,
     "model.bound": 0.5,
     "task.clearance_ramp": 0.1,
     "task.slow_commands": 0.3,
