@@ -564,7 +564,7 @@ def _few(config: config_dict.ConfigDict) -> None:
     config.rollout.update(num_envs=64, imagined=64, horizon=26)
     config.model.update(memory=800, remembered=3, minibatches=13, symmetry=True, late_epochs=None)
     config.schedule.update(end_steps=24, anchors=200, last_iteration=None, late_from=None)
-    config.ppo.late_kl = 1.0  # half of it takes no falls away (experiments/27_few/parts.md)
+    config.ppo.late_kl = 1.0  # smaller steps late take no falls away (27_few/parts.md)
     # 64 robots hear few commands: without new ones 2 % of the episodes have a fall at the end. Those of a
     # heading or a gait clock cannot be drawn in a tail
     config.schedule.new_commands = not config.task.heading and config.task.gait_frequency is None

@@ -78,8 +78,9 @@ def main():
     print(table(found))
     for method, name in METHODS.items():
         soonest, first = best(found, paper.jobs(JOBS), method)
-        one = found[soonest]
-        print(f"{name} so far: {soonest}, {one.cost / 1e3:.1f} k; at the end {one.end:.1f}")
+        if soonest:
+            one = found[soonest]
+            print(f"{name} so far: {soonest}, {one.cost / 1e3:.1f} k; at the end {one.end:.1f}")
         print(f"  must run first: {', '.join(first) or 'none'}")
 
 
@@ -145,7 +146,8 @@ def setting(seeds: list, steps: int) -> Setting:
 
 
 def best(found: dict[str, Setting], jobs: dict[str, str], method: str) -> tuple[str, list[str]]:
-    """The best of the method's settings that count, and those that must run before it is chosen."""
+    """The best of the method's settings that count, "" if none does, and those that must run before it is
+    chosen."""
     mine = [name for name, job in jobs.items() if job.split()[0] == method]
     count = [name for name in mine if name in found and found[name].counts]
     first = [name for name in mine if name not in count]

@@ -582,7 +582,6 @@ def test_why_smaller_steps_late_have_gone_from_few_is_as_the_page_says():
     page = (EXPERIMENTS / "27_few/parts.md").read_text().split("## Without smaller steps late")[1]
     text = (EXPERIMENTS / "27_few/README.md").read_text()
     words, few = " ".join(page.split()), script("27_few/table")
-    words_of_part = words
     names = {"Go1": "g", "Go2": "h", "ANYmal-C": "c", "ANYmal-D": "d"}
     fewer, later, walk, both, told_of = [], [], [[], []], [], []
     for of, batch, name in (
@@ -630,7 +629,7 @@ def test_why_smaller_steps_late_have_gone_from_few_is_as_the_page_says():
     assert f"worth at most {mean + half:.2f} points of falls (95 %), where 0.3 was allowed" in text
     mean, half, _ = around_of_pairs(later[:10])
     told = f"on Go1 alone {mean:.1f} k ({half - mean:.1f} sooner to {mean + half:.1f} later)"
-    assert told in words_of_part
+    assert told in words
     at = [few_of("late", f"fresh-late-{x}")[1].walks / 1e3 for x in "ghcd"]
     told = (
         "from {:.0f} to {:.0f} k on (means: Go1 {:.0f} k, Go2 {:.0f} k, ANYmal-C {:.0f} k, ANYmal-D"
@@ -639,18 +638,15 @@ def test_why_smaller_steps_late_have_gone_from_few_is_as_the_page_says():
     every = np.concatenate(at)
     assert told.format(np.nanmin(every), np.nanmax(every), *map(np.nanmean, at)) in text
     level = [few_of("late", f"fresh-late-{x}")[1].level for x in "gc"]
-    words = "64 Go1 need {:,.0f} simulator steps (mean of ten fresh seeds; the last {:,.0f}), 64 ANYmal-C"
-    words += " {:,.0f} (the last {:,.0f})."
+    told = "64 Go1 need {:,.0f} simulator steps (mean of ten fresh seeds; the last {:,.0f}), 64 ANYmal-C"
+    told += " {:,.0f} (the last {:,.0f})."
     hundreds = [100 * round(f(x) / 100) for x in level for f in (np.mean, np.max)]
-    assert words.format(*hundreds) in text
+    assert told.format(*hundreds) in text
     last = [
         100 * run[-1]["fall_rate"]
         for x in "gd"
-        for run, at in zip(
-            *few_of("late", f"fresh-late-{x}")[:1],
-            few_of("late", f"fresh-late-{x}")[1].walks,
-            strict=True,
-        )
+        for seeds, reached in [few_of("late", f"fresh-late-{x}")]
+        for run, at in zip(seeds, reached.walks, strict=True)
         if np.isnan(at)
     ]
     assert len(last) == 2
