@@ -538,7 +538,7 @@ def test_a_kernel_is_told_by_its_line_and_operation(tmp_path):
         "dot_general",
         "sin",
     ):  # lines are those of the run that compiled it (conftest.py)
-        assert any(re.fullmatch(rf"test_rough.py:\d+ {operation}", x) for x in said.values())
+        assert any(re.fullmatch(rf"test_rough.py:\d+ {operation}", x) for x in said.values()), said
     with jax.profiler.trace(tmp_path):
         for _ in range(3):
             jax.block_until_ready(compiled(jnp.ones((64, 64))))
