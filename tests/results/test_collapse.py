@@ -320,7 +320,7 @@ def test_the_page_says_what_the_tables_do_not(gpu):
         one.share
         for title in list(table.TABLES)[:1]
         for pair, one in table.found(gpu, table.TABLES[title]).items()
-        if pair.job != "cold"
+        if pair.job in table.ONE and pair.job != "cold"
     ]
     assert f"The lowest is {min(others):.2f} of PPO-16" in words
 
@@ -484,37 +484,116 @@ def test_the_page_says_what_anymals_below_the_cliff_have(gpu):
     back = {name: np.mean(x) for name, x in own.items()}
     text = "PPO-16 has {:.1f} (C) and {:.1f} (D) of 30, below 15, as expected; PPO-12 {:.1f} and {:.1f}"
     assert text.format(*(back[x, r] for x in ("ppo16", "ppo12") for r in "cd")) in words
-    lucky = [x[3] for (kind, _), x in own.items() if kind != "ppo12"]  # seed 703
-    assert gpu["own-ppo16-c"][300][3]["seed"] == "703"
+    tails = [back[x, robot] for x in table.TAILS for robot in "cd"]
+    assert f"the tails {min(tails):.1f} to {max(tails):.1f}." in words
+    assert "{} to {}: no gain over PPO-12 is shown".format(
+        *(f"{f(tails):.1f}" for f in (min, max))
+    ) in other_page("paper")
+    taught = {name: x for name, x in own.items() if name[0] != "ppo12"}
+    assert len(taught) == 6 and all(gpu[f"own-{x}-{r}"][300][3]["seed"] == "703" for x, r in taught)
+    lucky = [x[3] for x in taught.values()]
     text = (
-        "One seed of five (703) has {:.1f} to {:.1f}: with PPO-16 on both robots, with the tails, which have"
-        " run on ANYmal-C alone, there; of PPO-12 no seed has more than {:.1f}"
+        "One seed of five (703) has {:.1f} to {:.1f} with PPO-16 and with both tails, on both robots;"
+        " of PPO-12 no seed has more than {:.1f}"
     )
     low = max(max(x) for (kind, _), x in own.items() if kind == "ppo12")
     assert text.format(min(lucky), max(lucky), low) in words
-    tail = own["dyna4-noschedule", "c"]
-    two = f"{tail[1]:.1f}"
-    assert two == f"{tail[2]:.1f}"
-    assert f"has {np.mean(tail):.1f}, for two more seeds have {two}" in words
-    rest = [x for (k, _), s in own.items() for i, x in enumerate(s) if k != "ppo12" and i != 3]
-    assert sum(x > 6 for x in rest) == 2  # these two
-    shares = [one.share for pair, one in found.items() if pair.job.startswith("own")]
-    assert "{:.2f} and {:.2f} in the table are shares".format(*shares) in words
+    rest = sorted((x, kind) for (kind, _), s in taught.items() for i, x in enumerate(s) if i != 3)
+    assert len(rest) == 24 and {kind for _, kind in rest[-3:]} == {"dyna4-noschedule"}
+    text = (
+        "Of the other 24 runs three have {:.1f} to {:.1f}, all with the tail without a ramp, and none else"
+        " more than {:.1f}."
+    )
+    assert text.format(*(rest[k][0] for k in (-3, -1, -4))) in words
+    ours = {pair: one for pair, one in found.items() if pair.job.startswith("own")}
+    gains = [one.difference for one in ours.values()]
+    assert len(gains) == 4 and all(x.low < 0 < x.high for x in gains)
+    more = [x.value for x in gains]
+    assert f"({min(more):.1f} to {max(more):.1f} more, all four intervals include 0)" in words
+    least = min(stats.welch_of(own[x, r], own["ppo16", r]) for x in table.TAILS for r in "cd")
+    assert f"nor a difference to PPO-16 (p {least:.2f} at least, uncorrected)" in words
+    shares = [one.share for one in ours.values()]
+    assert f"{min(shares):.2f} to {max(shares):.2f} in the table are shares" in words
+    p = {f"{one.p:.2f}" for one in ours.values()}
+    assert len(p) == 1 and f"no gain over PPO-12 is shown (Holm {p.pop()})" in other_page("paper")
+    of_d = [
+        found[table.Pair("d", f"robots1024-{x}", "robots1024-ppo12", "robots1024-ppo16", 500)]
+        for x in table.TAILS
+    ]
+    text = "an ANYmal-D {:.1f} and {:.1f} ({:.2f}, {:.2f}: open)"
+    numbers = [one.difference.value for one in of_d] + [one.p for one in of_d]
+    assert text.format(*numbers) in other_page("paper")
 
 
-def test_runs_that_were_cut_off_are_named(gpu):
-    """Those of batch `cut` have since run whole, those of `cut-2` and the exact task have not."""
-    words = " ".join((HERE / "README.md").read_text().split("## What has not run")[1].split())
-    batches = {}
-    for name, by_iteration in table.read(HERE / "results/cut.csv.xz").items():
-        batches.setdefault(by_iteration[100][0]["batch"], {})[name] = max(by_iteration)
-    assert {batch: len(some) for batch, some in batches.items()} == {"cut": 6, "cut-2": 2}
-    assert "these two (`cut-2`), and of six that have since run whole" in words
-    assert set(batches["cut-2"].values()) == {200} and "cut off at iteration 200 of 300" in words
+def other_page(folder: str) -> str:
+    return " ".join((HERE.parent / folder / "README.md").read_text().split())
+
+
+def test_the_page_says_what_the_exact_task_has(gpu):
+    """Its tail beside its own PPO-16 alone: shares, intervals, falls, and the late seed."""
+    words = " ".join((HERE / "README.md").read_text().split())
+    title, *_ = table.TABLES
+    found = {
+        pair.robot: one
+        for pair, one in table.found(gpu, table.TABLES[title]).items()
+        if pair.job == "exact-tail" and pair.beside == pair.whole == "exact-ppo16"
+    }
+    assert {one.verdict for one in found.values()} == {"open"}
+    shares = [f"{found[robot].share:.2f}" for robot in "gc"]
+    assert (
+        "The tail has {} (Go1) and {} (ANYmal-C) of PPO-16's return there".format(*shares) in words
+    )
+    first = (
+        "a Go1 has {} and an ANYmal-C {} of what PPO-16 has there. That there is no difference is"
+    )
+    assert first.format(*shares) in words
+    theirs = "In Isaac Lab's exact task it has {} and {} of PPO-16 there: no collapse, either"
+    assert theirs.format(*shares) in other_page("paper")
+    assert "nor does it collapse in Isaac Lab's exact task" in other_page("17_regimes")
+    assert all(table.NEAR[robot] < -one.difference.low for robot, one in found.items())
+    assert "{:.0f} and {}".format(*(table.NEAR[r] for r in "gc")) == "2 and 1.3"
+    assert "is open: its intervals reach beyond 2 and 1.3." in words
+
+    def falls(job):
+        return [table.values(gpu, f"exact-{job}-{robot}", 300, "fall_rate") for robot in "gc"]
+
+    text = (
+        "With the tail {:.1f} and {:.1f} % of the episodes have a fall at the end,"
+        " with PPO-16 {:.1f} and {:.1f} %;"
+    )
+    both = falls("tail"), falls("ppo16")
+    assert text.format(*(100 * np.mean(x) for some in both for x in some)) in words
+    assert all(stats.welch_of(*x) > table.ALPHA for x in zip(*both, strict=True))
+    late = [table.values(gpu, "exact-tail-c", k)[1] for k in (200, 300)]
+    assert late[0] == min(table.values(gpu, "exact-tail-c", 200))
+    text = "One ANYmal-C with the tail is late: {:.1f} at iteration 200, {:.1f} at 300."
+    assert text.format(*late) in words
+
+
+def test_each_batch_has_the_jobs_that_the_page_says(gpu):
+    """All jobs have run. Those that were cut off, in `cut.csv.xz`, are other runs than those that count."""
+    words = " ".join((HERE / "README.md").read_text().split())
     names = {line.split()[0] for line in (HERE / "jobs.txt").read_text().splitlines()}
-    lacking = {name for name in names if name not in gpu}
-    assert lacking == {*batches["cut-2"], *(x for x in names if x.startswith("exact-"))}
-    assert set(batches["cut"]) <= set(gpu) and "The exact task has not run" in words
+    assert names == set(gpu)
+    batches = {
+        name: {row["batch"] for rows in x.values() for row in rows} for name, x in gpu.items()
+    }
+    fourth = {name for name, batch in batches.items() if batch == {"fourth"}}
+    tails = {f"own-{x}-d" for x in table.TAILS}
+    assert fourth == tails | {name for name in names if name.startswith("exact-")}
+    own = {name for name in names if name.startswith("own-")} - tails
+    of_2048 = {f"robots2048-{x}-{robot}" for x in table.TAILS for robot in "cd"}
+    later = {f"{x}-{robot}" for x in table.COLD for robot in "gc"} | own | of_2048
+    later |= {f"robots1024-{x}-d" for x in table.TAILS}
+    assert {name for name, batch in batches.items() if batch == {"third"}} == later
+    assert all(len(batch) == 1 for batch in batches.values())
+    cut = table.read(HERE / "results/cut.csv.xz")
+    assert len(cut) == 8 and all(name.startswith(("robots", "own")) for name in cut)
+    assert "Eight jobs of `robots` and `own` were cut off at first." in words
+    for name, by_iteration in cut.items():
+        whole = table.values(gpu, name, 500 if name.startswith("robots") else 300)
+        assert len(whole) == 5 and max(by_iteration) < max(gpu[name])
+        assert table.values(cut, name, 100) != table.values(gpu, name, 100)
 
 
 def test_the_page_has_what_the_runs_without_anchors_had():
