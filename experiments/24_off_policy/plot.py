@@ -3,8 +3,9 @@
     python experiments/24_off_policy/plot.py
 
 Left are means over five seeds (FastTD3: three) with their 95 % t interval, of the task of before 2026-11-25;
-runs that were cut off end where the shortest does. In the middle is the task since then: SAC with and without
-symmetric networks, three seeds, beside ten of 21_less. Right are the five settings of SAC, one seed each.
+runs that were cut off end where the shortest does. In the middle is the task since then: CrossQ, and SAC with
+and without symmetric networks, three seeds each, beside ten of 21_less. Right are the five settings of SAC,
+one seed each.
 """
 
 import importlib
@@ -28,6 +29,7 @@ RUNS = {  # name in the results -> label, colour, dashes
 }
 TODAY = {  # the same, of the task since 2026-11-25
     "best-g": ("best", pictures.BLUE, "-"),
+    "crossq": ("CrossQ, mirrored batches", pictures.PURPLE, "-"),
     "sac-symmetric": ("SAC, symmetric networks", pictures.GREEN, "-"),
     "sac-today": ("SAC", pictures.VERMILION, (0, (3, 1.2))),
     "ppo-level-g": ("PPO, to the level", pictures.ORANGE, (0, (1, 1))),
@@ -41,7 +43,14 @@ SETTINGS = {  # of SAC; by their gain of actions
 }
 LEVEL = walks.level(45)
 WINDOW = (2.2e6, 2.5e6)  # steps: the last that SAC has
-WINDOW_TODAY = (0.9e6, 1.25e6)  # the last that all seeds of symmetric SAC have
+WINDOW_EARLY = (0.35e6, 0.41e6)  # the last that CrossQ has
+WINDOW_TODAY = (0.9e6, 1.25e6)  # the last that the first try of symmetric SAC has
+WINDOW_LATE = (1.75e6, 2.05e6)  # the last that SAC has
+PAIRS = [  # of today's task; "sac-twice" has both tries of symmetric SAC
+    *(("crossq", name, WINDOW_EARLY) for name in ("best-g", "ppo-level-g", "sac-symmetric")),
+    *(("sac-symmetric", name, WINDOW_LATE) for name in ("sac-today", "ppo-level-g", "best-g")),
+    *(("sac-twice", name, WINDOW_TODAY) for name in ("sac-today", "ppo-level-g", "best-g")),
+]
 
 
 def main():
@@ -59,15 +68,16 @@ def main():
         where = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.24)}
         below.legend(frameon=False, handlelength=2.4, **where)
     axes[0].set_ylabel("evaluated return")
-    falls[0].set(xlabel="simulator steps (logarithmic)", ylabel="episodes with a fall, %")
+    falls[0].set_ylabel("episodes with a fall, %")
     axes[0].set_xscale("log")
     axes[0].set_title("Earlier task", loc="left")
     axes[1].set_title("Today's task", loc="left")
-    axes[1].set_xlim(0, 2.1e6)
+    axes[1].set(xscale="log", xlim=(2.5e4, 8e6))
     axes[2].set_title("Earlier task: settings of SAC", loc="left")
-    for axis in falls[1:]:
-        axis.set_xlabel("million simulator steps")
-        axis.xaxis.set_major_formatter(lambda steps, _: f"{steps / 1e6:g}")
+    for axis in falls[:2]:
+        axis.set_xlabel("simulator steps (logarithmic)")
+    falls[2].set_xlabel("million simulator steps")
+    falls[2].xaxis.set_major_formatter(lambda steps, _: f"{steps / 1e6:g}")
     pictures.head(
         fig,
         f"Go1. Band: {pictures.covers([3, 5, 10])}; right one seed. Dotted: the level, and 1 % falls",
@@ -77,32 +87,34 @@ def main():
     print(less.table.table({name: jobs[name] for name in RUNS}, 45))
     print(equal_steps(jobs["sac"], jobs["ppo-kl3-g"], WINDOW))
     print(less.table.table({name: jobs[name] for name in TODAY}, 45))
-    for name in ("sac-today", "ppo-level-g", "best-g"):
-        print(f"sac-symmetric and {name}: {beside(jobs['sac-symmetric'], jobs[name])}")
+    for one, other, window in PAIRS:
+        print(f"{one} and {other}: {beside(jobs[one], jobs[other], window)}")
 
 
 def read() -> dict[str, list[dict]]:
-    """All jobs by name; those of sac_symmetric.csv, which has three, are "sac-today" and so on."""
+    """All jobs by name; SAC of today's task is "sac-today". What was cut off is apart, but "sac-twice" has
+    all runs of symmetric SAC: of each seed two."""
     results, fewer = HERE / "results", HERE.parent / "21_less/results"
     jobs = less.table.read(fewer / "fresh.csv.xz") | less.table.read(fewer / "headline.csv.xz")
     jobs |= less.table.read(results / "mbpo.csv.xz") | less.table.read(results)
-    names = {"sac": "sac-today", "crossq": "crossq-today"}
     for row in jobs.pop("sac_symmetric"):
-        jobs.setdefault(names.get(row["name"], row["name"]), []).append(row)
-    return jobs
+        jobs.setdefault("sac-today" if row["name"] == "sac" else row["name"], []).append(row)
+    before = [row for row in jobs["sac_symmetric_cut"] if row["name"] == "sac-symmetric"]
+    twice = [row | {"batch": "before"} for row in before]
+    return jobs | {"sac-twice": jobs["sac-symmetric"] + twice}
 
 
-def beside(one, other) -> str:
-    """Steps to 30, 35 and 38 of `one` less those of `other`, and its return less that in `WINDOW_TODAY`."""
+def beside(one, other, window) -> str:
+    """Steps to 30, 35 and 38 of `one` less those of `other`, and its return less that in `window`."""
     parts = []
     for level in (30, 35, LEVEL):
         pair = [[less.table.first(run, level) for run in less.table.seeds(j)] for j in (one, other)]
-        if np.isfinite(np.concatenate(pair)).all():
+        if np.isfinite(np.concatenate(pair)).all() and max(map(np.ptp, pair)) > 0:
             gap = stats.difference(*(np.array(steps) / 1e6 for steps in pair))
             text = f"{gap.value:.2f} M ({gap.low:.2f} to {gap.high:.2f})"
             text += f", {stats.ratio(*pair).value:.2f} times"
             parts.append(f"to {level:g} {text}, p {stats.welch_of(*pair):.2g}")
-    return "; ".join([*parts, equal_steps(one, other, WINDOW_TODAY)])
+    return "; ".join([*parts, equal_steps(one, other, window)])
 
 
 def equal_steps(one, other, window) -> str:
