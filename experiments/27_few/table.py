@@ -1,21 +1,30 @@
 """Runs of 21_less/run.py with few robots: the return, with falls, after thousands of simulator steps.
 
     python experiments/27_few/table.py FOLDER_OR_PACKED_FILE [--batch fresh] [--at 10 15 20 27 43]
+    python experiments/27_few/table.py experiments/27_few/results/seconds.csv.xz --seconds
 
 A row a job: means over its seeds, between two evaluations on a straight line, empty where runs have ended;
 the first evaluation at the level (ANYmals 24, else 38), mean and last of the seeds that get there, in
 thousands of steps; how many of the seeds walk at the end: from some evaluation on always at the level and
 with falls in at most 1 % of the episodes.
+
+`--seconds`: of runs of 30_row_cost/run.py, alone on a card, a row a number of robots: thousand steps and
+seconds to the level, seconds to a walk (mean, last); ms of an iteration, and of its real rows, fit, tails and
+PPO, each measured by itself; steps and seconds of a whole run.
 """
 
+import csv
 import importlib
+import lzma
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from experiments import paper
 
 runs = importlib.import_module("experiments.21_less.table")
+cost = importlib.import_module("experiments.30_row_cost.table")
 
 
 def main():
@@ -23,7 +32,11 @@ def main():
     parser.add_argument("path", type=Path)
     parser.add_argument("--batch", help="of a packed file, this one alone")
     parser.add_argument("--at", type=float, nargs="+", default=[10.0, 15.0, 20.0, 27.0, 43.0])
+    parser.add_argument("--seconds", action="store_true")
     args = parser.parse_args()
+    if args.seconds:
+        print(seconds(alone(args.path)))
+        return
     print(table(read(args.path, args.batch), args.at))
 
 
@@ -84,6 +97,68 @@ def line(name: str, seeds: list[list[dict]], at: list[float]) -> tuple[float, li
 def level_of(rows: list[dict]) -> int:
     """The return at which a run's robot follows commands."""
     return 24 if rows[0]["job"].startswith("anymal") else 38
+
+
+# ---- seconds
+
+
+class Alone(NamedTuple):
+    """Seeds of a job that had a card alone, one after the other."""
+
+    robots: int
+    level: np.ndarray  # [S, 3]: iteration, simulator steps, seconds; NaN: never
+    walks: np.ndarray
+    parts: tuple[float, ...]  # ms of an iteration: real rows, fit, tails, PPO
+    end: np.ndarray  # [S, 3]: those of the whole run
+
+
+def alone(path: Path) -> list[Alone]:
+    """The jobs of a packed file, those with the fewest robots first."""
+    jobs = {}
+    with lzma.open(path, "rt", newline="") as file:
+        for row in csv.DictReader(file):
+            jobs.setdefault(row["name"], {}).setdefault(row["seed"], []).append(row)
+    return sorted((alone_of([*job.values()]) for job in jobs.values()), key=lambda x: x.robots)
+
+
+def alone_of(each: list[list[dict]]) -> Alone:
+    measure = importlib.import_module("experiments.30_row_cost.run")  # with JAX
+    first, run = each[0][0], cost.of_job("", "", each)
+    job, *fields = first["job"].split()
+    config = measure.read(job, fields).config
+    tail, rounds = config.schedule.end_steps, config.schedule.rounds
+    counts = (config.rollout.horizon - tail, 1, rounds * tail, rounds)
+    ms = [float(first[name]) for name in ("row_ms", "fit_ms", "tail_ms", "ppo_ms")]
+    parts = tuple(n * x for n, x in zip(counts, ms, strict=True))
+    end = np.array([[float(rows[-1][name]) for name in cost.COUNTED] for rows in each])
+    return Alone(config.rollout.num_envs, run.level, run.walks, parts, end)
+
+
+def seconds(found: list[Alone]) -> str:
+    heads = ["robots", "thousand steps to the level", "seconds to the level", "seconds to a walk"]
+    heads += [
+        "ms an iteration",
+        "real rows + fit + tails + PPO, ms",
+        "whole run: thousand steps, s",
+    ]
+    lines = []
+    for one in found:
+        ms, whole = 1e3 * one.end[:, 2] / one.end[:, 0], one.end.mean(0)
+        cells = [f"{one.robots}", last(one.level[:, 1] / 1e3, 1), last(one.level[:, 2], 2)]
+        cells += [last(one.walks[:, 2], 1), f"{ms.mean():.1f}"]
+        cells += [
+            " + ".join(f"{x:.1f}" for x in one.parts),
+            f"{whole[1] / 1e3:.1f}, {whole[2]:.1f}",
+        ]
+        lines.append(cells)
+    return paper.markdown(heads, lines)
+
+
+def last(values, digits: int) -> str:
+    """Mean and last seed of those that get there, and how many do where not all."""
+    some = values[np.isfinite(values)]
+    few = f", {len(some)} of {len(values)}" if len(some) < len(values) else ""
+    return f"{some.mean():.{digits}f} ({some.max():.{digits}f}){few}" if len(some) else "never"
 
 
 if __name__ == "__main__":

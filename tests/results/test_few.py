@@ -1,5 +1,7 @@
 """27_few: few robots, their tables, parts and jobs."""
 
+import csv
+import lzma
 import re
 
 import numpy as np
@@ -86,6 +88,13 @@ def test_fresh_seeds_of_few_pair_with_those_of_its_table():
         asked = f"{fresh[f'fresh-{robot}']} {no_late}"
         assert {row["job"] for row in few_jobs("late")[f"fresh-late-{robot}"]} == {asked}
         assert {row["job"] for row in ran[f"fresh-{robot}"]} == {fresh[f"fresh-{robot}"]}
+        asked = jobs[f"fresh-spread-{robot}"]
+        spread = few_jobs("fresh-spread")[f"fresh-spread-{robot}"]
+        assert {row["job"] for row in spread} == {asked}
+        more = fresh[f"fresh-{robot}"].replace("run.seed=970", "run.seed=1200")
+        more = re.sub(r"(?<=num_seeds=)\d+", lambda found: f"{2 * int(found[0])}", more)
+        assert jobs[f"more-few-{robot}"] == more
+        assert jobs[f"more-spread-{robot}"] == f"{jobs[f'more-few-{robot}']} control=spread"
 
 
 def test_the_table_of_logs_is_that_of_its_seeds(tmp_path):
@@ -169,7 +178,8 @@ def falls_of(batch, name, least=0.0, most=np.inf):
 def test_how_many_few_robots_need_which_steps_is_as_the_page_says():
     few, page = script("27_few/table"), (EXPERIMENTS / "27_few/README.md").read_text()
     text = " ".join(page.split())
-    rows = {cells(line)[0]: cells(line)[1:] for line in page.splitlines() if "|" in line}
+    lines = page.split("### Seconds")[0].splitlines()
+    rows = {cells(line)[0]: cells(line)[1:] for line in lines if "|" in line}
     jobs = {f"{count}": ("robots-3", f"robots-{count}-") for count in (16, 256, 1024)}
     jobs |= {"1": ("parts-2", "robots-1-"), "4": ("one-commit", "robots-4-")}
     jobs |= {"64": ("late", "fresh-late-"), "1024, `best`": ("rows", "best-")}
@@ -573,7 +583,9 @@ def test_other_values_of_the_parts_of_few_are_as_the_page_says():
     assert min(means["level"]) == tests["part-decay", "level"][0]
     assert all(f"{tests[x, 'level'][0]:.1f}" == "-0.6" for x in ("part-decay", "control-spread"))
     walk = [few_of("spread", f"control-spread-{x}")[1].walks for x in "ghcd"]
-    assert np.isfinite(walk).all() and "alone has all 20 seeds walking" in words
+    whole = [few_of(batch_of_part("whole", x), f"part-whole-{x}")[1].walks for x in "ghcd"]
+    told = f"alone has all {np.size(walk)} seeds walking at the end, `few` {np.isfinite(whole).sum()} of 20"
+    assert np.isfinite(walk).all() and told in words
     assert all(line.count("; 5 |") < 4 for line in part.splitlines() if "spread" not in line)
 
 
@@ -651,6 +663,168 @@ def test_why_smaller_steps_late_have_gone_from_few_is_as_the_page_says():
     ]
     assert len(last) == 2
     assert "fall in {:.1f} and {:.1f} % of their last episodes".format(*last) in text
+
+
+def test_why_spread_commands_are_not_part_of_few_is_as_the_page_says():
+    """The rule was written before: pairs of fresh seeds, falls at their end and walks."""
+    page = (EXPERIMENTS / "27_few/parts.md").read_text().split("## Spread commands")[1]
+    words, few = " ".join(page.split()), script("27_few/table")
+    text = " ".join((EXPERIMENTS / "27_few/README.md").read_text().split())
+    rows = {cells(x)[0]: cells(x)[1:] for x in page.splitlines() if "|" in x}
+    fewer, sooner, walk, still = {}, {}, [], []
+    for robot, letter in zip(("Go1", "Go2", "ANYmal-C", "ANYmal-D"), "ghcd", strict=True):
+        (seeds, with_), (its, without) = (
+            few_of(batch, f"fresh-{kind}-{letter}")
+            for batch, kind in (("fresh-spread", "spread"), ("late", "late"))
+        )
+        assert rows[robot] == few.line("", seeds, [10.0, 15.0, 20.0, 27.0, 43.0])[1][1:]
+        ends = [[[r["fall_rate"] for r in run[-4:]] for run in some] for some in (seeds, its)]
+        assert [run[0]["seed"] for run in seeds] == [run[0]["seed"] for run in its]
+        fewer[letter] = 100 * (np.mean(ends[0], 1) - np.mean(ends[1], 1))
+        sooner[letter] = (with_.level - without.level) / 1e3
+        walk.append([int(np.isfinite(one.walks).sum()) for one in (with_, without)])
+        last = zip(seeds, with_.walks, strict=True)
+        still += [(letter, run[-1]["fall_rate"]) for run, at in last if np.isnan(at)]
+
+    def of(pairs, digits):
+        mean, half, p = around_of_pairs(pairs)
+        return [f"{abs(x):.{digits}f}" for x in (mean, mean - half, mean + half)], mean, half, p
+
+    every = np.concatenate([*fewer.values()])
+    (mean, low, high), value, half, p = of(every, 2)
+    assert len(every) == 30 and value < 0 < value + half  # so not by the rule
+    told = f"{mean} points fewer with it (95 % from {low} fewer to {high} more, p {p:.3f})"
+    assert told in words and f"They are {mean} points fewer ({low} fewer to {high} more;" in text
+    total = [sum(x) for x in zip(*walk, strict=True)]
+    told = f"{total[0]} instead of {total[1]} seeds walk, as all ten Go1 do instead of nine"
+    assert told in words and walk == [[10, 9], [5, 5], [10, 10], [4, 4]]
+    assert [letter for letter, _ in still] == ["d"] and "all ten Go1 and all ten ANYmal-C" in text
+    assert f"it falls in {100 * still[0][1]:.1f} % of its last episodes" in words
+    told = "falls are {0} points fewer on Go1 ({2} to {1}) and {3} on ANYmal-C ({5} to {4})"
+    shown = [of(fewer[letter], 2) for letter in "gc"]
+    assert told.format(*shown[0][0], *shown[1][0]) in words
+    assert all(value + half < 0 for _, value, half, _ in shown)
+    (_, low, high), value, half, _ = of(fewer["h"], 2)
+    assert f"on Go2 ({low} fewer to {high} more)" in words and value < 0 < value + half
+    (mean, low, high), value, half, _ = of(fewer["d"], 2)
+    told = f"and {mean} more on ANYmal-D ({low} fewer to {high} more)"
+    assert told in words and value - half < 0 < value
+    ranks = scipy.stats.wilcoxon(every).pvalue
+    assert f"By ranks p is {ranks:.3f} over all (Wilcoxon)" in words
+    value, half, _ = around_of_pairs(np.concatenate([*sooner.values()]))
+    told = f"{-value:.2f} k steps sooner ({half - value:.1f} sooner to {value + half:.1f} later)"
+    assert told in words and abs(value) < half
+    assert all(abs(x) < h for x, h, _ in map(around_of_pairs, sooner.values()))
+    jobs = (EXPERIMENTS / "27_few/jobs.txt").read_text()
+    counts = re.findall(r"more-spread-\w \w+:few run.seed=1200 run.num_seeds=(\d+) ", jobs)
+    assert counts == ["20", "10", "20", "10"]
+    assert words.count("60 pairs") == 2 and "in 60 pairs of new fresh seeds" in text
+    assert "1200 to 1219 of Go1 and ANYmal-C, 1200 to 1209 of Go2 and ANYmal-D" in words
+
+
+def test_the_seconds_of_few_robots_are_those_of_their_runs():
+    """The table is the script's; one line of it by hand; what the page says of it and of `best` beside it."""
+    table, page = script("27_few/table"), (EXPERIMENTS / "27_few/README.md").read_text()
+    cost, measure = script("30_row_cost/table"), script("30_row_cost/run")
+    path = EXPERIMENTS / "27_few/results/seconds.csv.xz"
+    found = {one.robots: one for one in table.alone(path)}
+    part = page.split("### Seconds")[1].split("## How it works")[0]
+    lines = [cells(line) for line in part.splitlines() if "|" in line]
+    assert lines == [cells(line) for line in table.seconds([*found.values()]).splitlines()]
+    with lzma.open(path, "rt", newline="") as file:
+        runs = [row for row in csv.DictReader(file) if row["name"] == "few-64-g"]
+    by_seed = [[r for r in runs if r["seed"] == f"{seed}"] for seed in range(1100, 1105)]
+    there = [next(r for r in run if float(r["return"]) >= 38) for run in by_seed]
+    steps, seconds = ([float(r[name]) for r in there] for name in ("sim_steps", "seconds"))
+    mine = next(line for line in lines if line[0] == "64")
+    told = f"{np.mean(steps) / 1e3:.1f} ({max(steps) / 1e3:.1f})"
+    assert mine[1:3] == [told, f"{np.mean(seconds):.2f} ({max(seconds):.2f})"]
+    ms = [1e3 * float(run[-1]["seconds"]) / int(run[-1]["iteration"]) for run in by_seed]
+    some = [float(runs[0][f"{name}_ms"]) for name in ("row", "fit", "tail", "ppo")]
+    some = [n * x for n, x in zip((2, 1, 3 * 24, 3), some, strict=True)]
+    assert mine[4:6] == [f"{np.mean(ms):.1f}", " + ".join(f"{x:.1f}" for x in some)]
+
+    text, words = " ".join(page.split()), " ".join(part.split())
+    level = {robots: one.level.mean(0) for robots, one in found.items()}
+    told = [f"{x[2]:.1f}" for x in level.values()]
+    told = f"1024 Go1 are at the level after {', '.join(told[:-1])} and {told[-1]} s."
+    assert f"1, 4, 16, 64, 256 and {told}" in text and [*found] == [1, 4, 16, 64, 256, 1024]
+    few = [100 * round(level[robots][1] / 100) for robots in (1, 4, 16, 64)]
+    told = "On three fresh seeds each it is {:,.0f}, {:,.0f} and {:,.0f}, and all nine walk"
+    assert told.format(*few) in text and f"Five more fresh Go1 need [{few[3]:,.0f}]" in text
+    for robots, one in found.items():
+        count = 5 if robots == 64 else 3
+        assert len(one.level) == count and np.isfinite(one.level).all()
+        assert np.isfinite(one.walks[:, 0]).sum() == count - (robots == 1024)
+    apart = stats.difference(found[64].level[:, 1] / 1e3, found[4].level[:, 1] / 1e3)
+    told = f"four Go1 need {apart.value:.1f} k steps fewer than 64 (95 % from {apart.low:.1f} to"
+    assert f"{told} {apart.high:.1f}, three and five seeds" in text and apart.low > 0
+
+    ms = {n: (1e3 * one.end[:, 2] / one.end[:, 0]).mean() for n, one in found.items()}
+    with lzma.open(path, "rt", newline="") as file:
+        rows = [*csv.DictReader(file)]
+    assert {row["commit"] for row in rows} == {"8155a0a11fe5-dirty"}
+    first = {row["name"]: int(row["iteration"]) for row in reversed(rows)}
+    every = {n: first[f"few-{n}-g"] * ms[n] / 1e3 for n in found}
+    seldom = [every[n] for n in (1, 4, 16, 64)]
+    told = f"every {min(seldom):.1f} to {max(seldom):.1f} s with up to 64 robots"
+    assert f"{told}, {every[256]:.1f} with 256 and {every[1024]:.1f} with 1024" in words
+    costs = [float(row["row_ms"]) for row in rows]
+    told = (
+        f"same**, {min(costs):.2f} to {max(costs):.2f} ms, for 1 to 1024 robots, and an iteration"
+    )
+    assert f"{told} takes {min(ms.values()):.0f} to {max(ms.values()):.0f} ms." in words
+    told = "robots take {:.0f}, {:.0f}, {:.0f} and {:.0f} to the level, 256 and 1024 take {:.0f} and {:.0f}."
+    assert told.format(*(x[0] for x in level.values())) in words
+    over = [100 * (sum(one.parts) / ms[n] - 1) for n, one in found.items()]
+    assert f"add up to {min(over):.0f} to {max(over):.0f} % more than an iteration took" in words
+    share = np.array([100 * np.array(one.parts) / sum(one.parts) for one in found.values()])
+    told = "{:.0f} to {:.0f} % of the parts, tails {:.0f} to {:.0f} %, the fit {:.0f} to {:.0f} %"
+    ends = [f(share[:, k]) for k in (3, 2, 1) for f in (min, max)]
+    assert told.format(*ends) in words
+    told = (
+        f"Real rows are {share[0, 0]:.0f} % with one robot, which has 64 of them an iteration, and"
+    )
+    assert f"{told} 1 % with 64 or more" in words
+    assert {f"{x:.0f}" for x in share[3:, 0]} == {"1"}
+    assert f"about {level[1][2]:.0f} s of training for {level[1][1] / 1e3:.0f} k steps" in words
+    assert f"which are {level[1][1] / 3000:.1f} minutes of its own time" in words
+    for n in (256, 1024):
+        assert f"after {level[n][2]:.2f} s and {level[n][1] / 1e3:.1f} k steps" in words
+    many = found[1024]
+    assert len({*many.level[:, 1]}) == 1 and many.end[0, 1] in many.walks[:, 1]
+    last = [row for row in rows if row["name"] == "few-1024-g" and row["iteration"] == "60"]
+    last = [100 * float(row["fall_rate"]) for row in last]
+    assert f"in {max(last):.1f} % of its episodes" in words
+    assert np.isnan(many.walks[last.index(max(last)), 0])
+
+    alone = [few_of("parts-2", f"robots-1-{x}")[0] for x in "gc"]
+    ends = [run[-1]["return"] for seeds in alone for run in seeds]
+    ends += [float(r["return"]) for r in rows if (r["name"], r["iteration"]) == ("few-1-g", "700")]
+    assert (len(ends), ends.count(0)) == (9, 1) and "none of six did, without one of nine" in text
+
+    hosts = "H200, 2026-11-27", "H200, 2026-11-27, second host"
+    runs = {(run.batch, run.method): run for run in cost.runs() if run.place == "go1.kernel"}
+    best, ppo = ([runs[host, name] for host in hosts] for name in ("best", "ppo2048"))
+    told = "{} and {} s after {:.0f} and {:.0f} k steps, and {:.2f} and {:.2f} s to a walk"
+    around = [table.runs.spread(one.level[:, 2], 2) for one in best]
+    steps = [one.level[:, 1].mean() for one in best]
+    walk = [one.walks[:, 2].mean() for one in best]
+    assert told.format(*around, *(x / 1e3 for x in steps), *walk) in words
+    told = "{:.2f} and {:.2f} s, after {:.1f} and {:.1f} M steps".format(
+        *(one.level[:, 2].mean() for one in ppo), *(one.level[:, 1].mean() / 1e6 for one in ppo)
+    )
+    assert f"PPO alone with 2048 robots was sooner there: {told}" in words
+    told = "`best` took {:.1f} and {:.1f} s, for {:.1f} and {:.1f} times the steps of 256 robots"
+    took = [one.level[:, 2].mean() for one in best]
+    assert told.format(*took, *(x / level[256][1] for x in steps)) in text
+    assert all(len(one.level) == 5 for one in [*best, *ppo])
+    asked = [r for r in cost.read() if r["batch"] in hosts and r["name"] == "go1.kernel.best"]
+    assert {r["seed"] for r in asked} == {f"{seed}" for seed in range(1100, 1105)}
+    at = sorted({int(r["sim_steps"]) for r in asked})
+    told = f"(seeds 1100 to 1104, {measure.EPISODES} episodes an evaluation, one every"
+    assert f"{told} {(at[4] - at[3]) / 1e3:.0f} k steps;" in words
+    assert all("episodes=" not in r["job"] for r in asked)
 
 
 def test_what_the_other_parts_of_few_are_worth_is_as_the_page_says():
