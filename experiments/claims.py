@@ -30,7 +30,8 @@ ROUGH = "experiments/28_rough/results/fresh.csv.xz"
 FEW = "experiments/27_few/results/gpu.csv.xz"
 LAPTOP = "experiments/04_laptop/results/make_train.txt"
 SAC = "experiments/24_off_policy/results/sac_symmetric.csv"
-CROSSQ = "experiments/27_few/peers_tune.csv"
+CROSSQ = "experiments/24_off_policy/results/crossq.csv"
+CROSSQ_FEW = "experiments/27_few/peers_tune.csv"
 FRESH = "2026-11-27", "e01cca1"
 COMMITS = {  # of batches of SECONDS; rows of the first do not have theirs
     "H200, 2026-11-27": "24fde7d",
@@ -102,15 +103,21 @@ STATED = {  # name -> where, and the words
     "go1 few, first at 38": [("README.md", "follows commands after {:.1f} thousand steps")],
     "anymal_c few, first at 24": [("README.md", "an ANYmal-C after {:.1f} thousand")],
     "go1 symmetric SAC first at 38": [
-        ("README.md", "treat left and right alike, needs {:.2f} million"),
+        ("README.md", "treat left and right alike, after {:.2f} million"),
         ("docs/results.md", "treat left and right alike is at 38 after {:.2f} M steps"),
-        ("experiments/README.md", "(at 38 after {:.2f} M steps)"),
+        ("experiments/README.md", "SAC with symmetric networks {:.2f} M"),
+        ("experiments/24_off_policy/README.md", "alike is there after {:.2f} M (the last"),
+    ],
+    "go1 CrossQ with 256 robots, first at 38": [
+        ("README.md", "follows commands after {:.2f} million, so beside it"),
+        ("experiments/README.md", "needs as few steps to 38, {:.2f} M"),
         ("experiments/24_off_policy/README.md", "(Go1, today's task) after {:.2f} M simulator"),
     ],
     "go1 CrossQ with 64 robots, first at 38": [
+        ("README.md", "CrossQ with 64 robots needs {:.0f} thousand"),
         ("experiments/README.md", "CrossQ is at 38 after {:.0f} k steps"),
         ("experiments/27_few/README.md", "CrossQ is at 38 after {:.0f},000 steps"),
-        ("experiments/27_few/peers.md", "after {:.0f} to 163 thousand simulator steps"),
+        ("experiments/27_few/peers.md", "after {:.0f} to 170 thousand simulator steps"),
     ],
     "g1 walks": [
         ("README.md", "after {:.2f} million simulator steps (ten of ten"),
@@ -412,16 +419,19 @@ def measured():
 
 def off_policy():
     """Of other methods: SAC on fresh seeds, and the best of CrossQ's settings so far."""
-    when = "H200", "2026-11-28", "d4ea24ce"
     peers = importlib.import_module("experiments.27_few.peers_table")
-    with (ROOT / SAC).open(newline="") as file:
-        rows = [row for row in peers.runs.rows(file) if row["name"] == "sac-symmetric"]
-    found = peers.runs.reached(peers.runs.seeds(rows), peers.LEVEL).level
-    yield "go1 symmetric SAC first at 38", million(found), "M steps", *when, SAC
+    for what, path, name, date in (
+        ("symmetric SAC", SAC, "sac-symmetric", "2026-11-28"),
+        ("CrossQ with 256 robots,", CROSSQ, None, "2026-11-29"),
+    ):
+        with (ROOT / path).open(newline="") as file:
+            rows = [row for row in peers.runs.rows(file) if row.get("name") == name]
+        found = peers.runs.reached(peers.runs.seeds(rows), peers.LEVEL).level
+        yield f"go1 {what} first at 38", million(found), "M steps", "H200", date, "e1fe5f03", path
     settings = peers.settings()
     soonest, _ = peers.best(settings, paper.jobs(peers.JOBS), "crossq")
     least, name = f"{settings[soonest].cost / 1e3:.6g}", "go1 CrossQ with 64 robots, first at 38"
-    yield name, least, "thousand steps", *when, CROSSQ
+    yield name, least, "thousand steps", "H200", "2026-11-28", "d4ea24ce", CROSSQ_FEW
 
 
 def million(steps) -> str:

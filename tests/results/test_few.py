@@ -72,6 +72,39 @@ def test_jobs_of_seconds_are_those_of_the_table_of_robots():
         assert mine.config.rollout.num_envs == int(name.split("-")[1])
 
 
+def test_what_may_be_the_default_has_the_settings_of_256_robots_in_both_files():
+    """27_few/jobs.txt `default-` and default.txt: `robots-256` of the table, with room for all rows."""
+    measure, folder = script("30_row_cost/run"), EXPERIMENTS / "27_few"
+    jobs, seconds = (
+        dict(line.split(None, 1) for line in (folder / f"{file}.txt").read_text().splitlines())
+        for file in ("jobs", "default")
+    )
+    longer = {"model.memory", "run.num_iterations", "run.log_every"}
+    runs = {f"run.{name}" for name in ("seed", "num_seeds", "eval_envs", "eval_every")}
+    runs.add("run.checkpoint_every")
+
+    def settings(line):
+        job, *fields = line.split()
+        return config_lib.flat(measure.read(job, fields).config)
+
+    for robot in "ghcd":
+        mine, like = settings(jobs[f"default-{robot}"]), jobs["robots-256-g"]
+        like = settings(" ".join([jobs[f"default-{robot}"].split()[0], *like.split()[1:]]))
+        assert {k for k in mine if mine[k] != like[k]} <= longer | runs
+        job, *fields = jobs[f"default-{robot}"].split()
+        rows = schedule.sim_steps(measure.read(job, fields).config)[-1] / 256
+        assert rows <= mine["model.memory"] < rows + 20
+        if timed := seconds.get(f"default-{robot}"):
+            its, best = settings(timed), settings(seconds[f"best-{robot}"])
+            assert {k for k in mine if mine[k] != its[k]} <= longer | runs
+            assert (
+                its["run.seed"] == best["run.seed"]
+                and its["run.log_every"] == best["run.log_every"]
+            )
+            assert best["rollout.num_envs"] == 1024 and not best["model.memory"]
+    assert seconds.keys() == {f"{name}-{x}" for name in ("default", "best") for x in "gc"}
+
+
 def test_fresh_seeds_of_few_pair_with_those_of_its_table():
     """In 27_few's jobs.txt, and what ran: the seeds and evaluations of fresh.txt."""
     folder = EXPERIMENTS / "27_few"
