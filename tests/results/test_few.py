@@ -103,6 +103,14 @@ def test_what_may_be_the_default_has_the_settings_of_256_robots_in_both_files():
             )
             assert best["rollout.num_envs"] == 1024 and not best["model.memory"]
     assert seconds.keys() == {f"{name}-{x}" for name in ("default", "best") for x in "gc"}
+    with (EXPERIMENTS.parent / "docs/numbers.csv").open(newline="") as file:  # the rule's of `best`
+        known = {row["name"]: row["value"] for row in csv.DictReader(file)}
+    first = [
+        known[f"{x} first at {38 if x[:2] == 'go' else 24}"]
+        for x in "go1 go2 anymal_c anymal_d".split()
+    ]
+    words = " ".join((folder / "README.md").read_text().split())
+    assert f"({', '.join(f'{float(x):.2f}' for x in first)} M)" in words
 
 
 def test_fresh_seeds_of_few_pair_with_those_of_its_table():
