@@ -6,8 +6,8 @@
 A line is `NAME SCRIPT ARGUMENTS`, SCRIPT one of 24_off_policy, and becomes OUT_FOLDER/NAME-SEED.csv for each
 seed. crossq.py trains many seeds at once, which must follow each other: OUT_FOLDER/NAME-FIRST-LAST.csv.
 A file that is there is skipped. `--workers`: so many share the device, so their clocks say nothing. A .log
-beside a .csv has what the run said. `--best FOLDER`, in place of names: the best of each method, by the rule
-of peers_table.py, with what this script wrote into FOLDER.
+beside a .csv has what the run said. `--best FOLDER`: the best of each method, by the rule of peers_table.py,
+with what this script wrote into FOLDER; a NAME is a method then, crossq or sac.
 """
 
 import importlib
@@ -39,7 +39,9 @@ def main():
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
     jobs = paper.jobs(args.jobs)
-    names = table.of_each_method(args.best, args.jobs) if args.best else args.names
+    names = args.names
+    if args.best:
+        names = table.of_each_method(args.best, args.jobs, names)
     chosen = paper.chosen(jobs, names)
     with ThreadPoolExecutor(args.workers) as pool:
         runs = [

@@ -15,6 +15,7 @@ method then runs on seeds 100 to 102.
 import csv
 import importlib
 import re
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -120,10 +121,13 @@ def read(path: Path, name: str = "") -> dict[str, list]:
     return rows
 
 
-def of_each_method(folder: Path, jobs: Path) -> list[str]:
-    """The best of each method, with the runs of a folder; SystemExit if others must run before."""
+def of_each_method(folder: Path, jobs: Path, methods: Iterable[str] = ()) -> list[str]:
+    """The best of each method, or of `methods`, with the runs of a folder; SystemExit if others must run
+    before, or a method is none."""
     found, names = settings(folder, jobs), []
-    for method in METHODS:
+    for method in methods or METHODS:
+        if method not in METHODS:
+            raise SystemExit(f"{method}: no method, expected one of {', '.join(METHODS)}")
         name, first = best(found, paper.jobs(jobs), method)
         if first:
             raise SystemExit(f"{', '.join(first)} must run before the best {method} is chosen")

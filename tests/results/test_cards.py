@@ -146,9 +146,8 @@ def test_what_runs_next_names_scripts_and_jobs_that_there_are():
             settings = paper.jobs(folder / rest[1])
             if "--best" in rest:  # of what a command before it writes
                 best = rest[rest.index("--best") + 1]
-                assert not names and any(
-                    f" {best} " in x.command for x in lines[: lines.index(line)]
-                )
+                assert {*names} <= peers.METHODS.keys()
+                assert any(f" {best} " in x.command for x in lines[: lines.index(line)])
                 continue
             asked.setdefault(rest[1], set()).update(paper.chosen(settings, names))
         if not script.endswith("/run.py"):

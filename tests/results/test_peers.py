@@ -479,6 +479,16 @@ def test_the_best_settings_of_other_methods_are_chosen_with_a_folder_of_runs(tmp
     monkeypatch.setattr(sys, "argv", [*words, "--seeds", "100", "101", "102"])
     peers.main()
     assert ran == ["crossq-u256-100-102", *(f"sac-lr3e4-{seed}" for seed in (100, 101, 102))]
+    ran.clear()
+    (
+        tmp_path / "runs/sac-lr3e4-0.csv"
+    ).unlink()  # of one method, what the other lacks does not matter
+    words = ["peers.py", str(tmp_path / "fresh"), str(jobs), "crossq", "--seeds", "100", "101"]
+    monkeypatch.setattr(sys, "argv", [*words, "--best", str(tmp_path / "runs")])
+    peers.main()
+    assert ran == ["crossq-u256-100-101"]
+    with pytest.raises(SystemExit, match="ppo: no method, expected one of crossq, sac"):
+        peers.table.of_each_method(tmp_path / "runs", jobs, ["ppo"])
 
 
 def test_settings_of_other_methods_with_few_robots_are_as_the_page_says():
