@@ -91,6 +91,7 @@ STATED = {  # name -> where, and the words
     "anymal_c walks": [("docs/results.md", "ANYmal-C and -D after {:.2f} and")],
     "anymal_d walks": [("docs/results.md", "and {:.2f} M. PPO alone")],
     "go1 first at 38": [
+        ("experiments/README.md", "needs {:.2f} million on a Go1"),
         ("README.md", "follows commands after {:.2f} million"),
         ("docs/speed.md", "1024 need {:.2f} M"),
     ],
@@ -99,9 +100,18 @@ STATED = {  # name -> where, and the words
         ("docs/results.md", "(24), {:.1f} and 2.7 % of the episodes of Go1 and Go2"),
     ],
     "go1 PPO walks": [("README.md", "commands and {:.1f} million to walk")],
-    "go1 PPO first at 38": [("README.md", "needs {:.1f} million to follow")],
-    "go1 few, first at 38": [("README.md", "follows commands after {:.1f} thousand steps")],
-    "anymal_c few, first at 24": [("README.md", "an ANYmal-C after {:.1f} thousand")],
+    "go1 PPO first at 38": [
+        ("README.md", "needs {:.1f} million to follow"),
+        ("experiments/README.md", "PPO alone, tuned, {:.2f} million"),
+    ],
+    "go1 few, first at 38": [
+        ("README.md", "follows commands after {:.1f} thousand steps"),
+        ("experiments/README.md", "follows commands after {:.1f} thousand simulator steps"),
+    ],
+    "anymal_c few, first at 24": [
+        ("README.md", "an ANYmal-C after {:.1f} thousand"),
+        ("experiments/README.md", "an ANYmal-C after {:.1f} thousand"),
+    ],
     "go1 symmetric SAC first at 38": [
         ("README.md", "treat left and right alike, after {:.2f} million"),
         ("docs/results.md", "treat left and right alike is at 38 after {:.2f} M steps"),
@@ -109,6 +119,7 @@ STATED = {  # name -> where, and the words
         ("experiments/24_off_policy/README.md", "alike is there after {:.2f} M (the last"),
     ],
     "go1 CrossQ with 256 robots, first at 38": [
+        ("experiments/README.md", "model of them, needs {:.2f} million, too"),
         ("README.md", "follows commands after {:.2f} million, so beside it"),
         ("experiments/README.md", "needs as few steps to 38, {:.2f} M"),
         ("experiments/24_off_policy/README.md", "(Go1, today's task) after {:.2f} M simulator"),
@@ -120,6 +131,7 @@ STATED = {  # name -> where, and the words
         ("experiments/27_few/peers.md", "after {:.0f} to 170 thousand simulator steps"),
     ],
     "g1 walks": [
+        ("experiments/README.md", "G1 walks after {:.2f} million steps"),
         ("README.md", "after {:.2f} million simulator steps (ten of ten"),
         ("docs/results.md", "`best` | {:.2f} ("),
     ],
@@ -128,6 +140,7 @@ STATED = {  # name -> where, and the words
         ("docs/results.md", "`best` | 0.70 ({:.2f})"),
     ],
     "g1 PPO walks": [
+        ("experiments/README.md", "million steps, with PPO after {:.1f}"),
         ("README.md", "PPO alone {:.1f})"),
         ("docs/results.md", "PPO alone, 256 robots | {:.2f} ("),
     ],
