@@ -73,13 +73,16 @@ def test_jobs_of_seconds_are_those_of_the_table_of_robots():
 
 
 def test_what_may_be_the_default_has_the_settings_of_256_robots_in_both_files():
-    """27_few/jobs.txt `default-` and default.txt: `robots-256` of the table, with room for all rows."""
+    """27_few/jobs.txt `default-` and default.txt: the `robots-256` that ran, without smaller steps late and
+    with room for all rows; and the numbers of `best` in the rule."""
     measure, folder = script("30_row_cost/run"), EXPERIMENTS / "27_few"
     jobs, seconds = (
         dict(line.split(None, 1) for line in (folder / f"{file}.txt").read_text().splitlines())
         for file in ("jobs", "default")
     )
     longer = {"model.memory", "run.num_iterations", "run.log_every"}
+    late = {"schedule.late_from", "ppo.late_kl"}
+    (ran,) = {row["job"] for row in few_jobs("robots-3")["robots-256-g"]}
     runs = {f"run.{name}" for name in ("seed", "num_seeds", "eval_envs", "eval_every")}
     runs.add("run.checkpoint_every")
 
@@ -88,9 +91,10 @@ def test_what_may_be_the_default_has_the_settings_of_256_robots_in_both_files():
         return config_lib.flat(measure.read(job, fields).config)
 
     for robot in "ghcd":
-        mine, like = settings(jobs[f"default-{robot}"]), jobs["robots-256-g"]
-        like = settings(" ".join([jobs[f"default-{robot}"].split()[0], *like.split()[1:]]))
-        assert {k for k in mine if mine[k] != like[k]} <= longer | runs
+        mine = settings(jobs[f"default-{robot}"])
+        like = settings(" ".join([jobs[f"default-{robot}"].split()[0], *ran.split()[1:]]))
+        assert {k for k in mine if mine[k] != like[k]} <= longer | runs | late
+        assert mine["schedule.late_from"] is None
         job, *fields = jobs[f"default-{robot}"].split()
         rows = schedule.sim_steps(measure.read(job, fields).config)[-1] / 256
         assert rows <= mine["model.memory"] < rows + 20
@@ -105,12 +109,20 @@ def test_what_may_be_the_default_has_the_settings_of_256_robots_in_both_files():
     assert seconds.keys() == {f"{name}-{x}" for name in ("default", "best") for x in "gc"}
     with (EXPERIMENTS.parent / "docs/numbers.csv").open(newline="") as file:  # the rule's of `best`
         known = {row["name"]: row["value"] for row in csv.DictReader(file)}
-    first = [
-        known[f"{x} first at {38 if x[:2] == 'go' else 24}"]
-        for x in "go1 go2 anymal_c anymal_d".split()
-    ]
+    robots = "go1 go2 anymal_c anymal_d".split()
+    told = [known[f"{x} first at {38 if x[:2] == 'go' else 24}"] for x in robots]
+    walks = [known[f"{x} walks"] for x in robots]
     words = " ".join((folder / "README.md").read_text().split())
-    assert f"({', '.join(f'{float(x):.2f}' for x in first)} M)" in words
+    for some in (told, walks):
+        assert f"({', '.join(f'{float(x):.2f}' for x in some)} M)" in words
+    page = (EXPERIMENTS.parent / "README.md").read_text()  # its table is held to the runs
+    ends = re.findall(
+        r"^\| (?:Go\d|ANYmal-\w) \| \*\*.* ([\d.]+) of \d+, [\d.]+ %.*\|$", page, re.M
+    )
+    assert len(ends) == 4 and f"({', '.join(ends)})" in words
+    found = few_of("robots-3", "robots-256-g")[1].level, few_of("robots-3", "robots-256-c")[1].level
+    told = f"it was {found[0].mean() / 1e3:.0f} (Go1) and {found[1].mean() / 1e3:.0f} thousand (ANYmal-C)"
+    assert told in words
 
 
 def test_fresh_seeds_of_few_pair_with_those_of_its_table():
