@@ -25,6 +25,7 @@ from brax.training.agents.sac import train as sac_train
 
 from dynappo import algorithm, scores
 from dynappo import config as config_lib
+from dynappo.config import versions
 from dynappo.description import motors
 from dynappo.description import robot as robot_lib
 from dynappo.learner import symmetry
@@ -210,6 +211,8 @@ def row(method: str, args, steps, seconds, sums) -> dict:
         "fall_rate": f"{falls:.4g}",
         "tracking_error": f"{(error_sq / length) ** 0.5:.4g}",
         "yaw_error": f"{(yaw_error_sq / length) ** 0.5:.4g}",
+        "device": jax.devices()[0].device_kind,
+        "commit": versions.commit(),
     }
 
 

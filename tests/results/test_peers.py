@@ -1,5 +1,6 @@
 """Off-policy methods: pages of 24_off_policy and of 27_few/peers.md, and the scripts that train them."""
 
+import argparse
 import csv
 import itertools
 import re
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 from result_files import EXPERIMENTS, few_of, script, shows
 
+from dynappo.config import versions
 from experiments import paper, stats
 
 NUMBERS = EXPERIMENTS.parent / "docs/numbers.csv"
@@ -793,3 +795,14 @@ def test_crossq_renormalises_batches_and_knows_the_probability_of_its_actions():
     slope = (np.tanh(raw + 1e-6) - np.tanh(raw - 1e-6)) / 2e-6
     density = np.exp(-0.5 * ((raw - mean) / std) ** 2) / (std * np.sqrt(2 * np.pi)) / slope
     np.testing.assert_allclose(log_prob, np.log(density).sum(-1), atol=0.02)
+
+
+def test_a_row_of_an_evaluation_has_its_means_and_where_it_ran():
+    """By hand: ten steps; squared errors that add up to 0.9 and 3.6 are 0.3 and 0.6 in the mean."""
+    sac = script("24_off_policy/sac")
+    args = argparse.Namespace(config="go1:best", seed=7)
+    row = sac.row("crossq", args, 2560.0, 12.3456, (40.123, 0.02, 0.9, 3.6, 10.0))
+    assert (row["job"], row["seed"], row["sim_steps"]) == ("crossq go1:best", 7, 2560)
+    numbers = [row[x] for x in ("seconds", "return", "fall_rate", "tracking_error", "yaw_error")]
+    assert numbers == ["12.35", "40.12", "0.02", "0.3", "0.6"]
+    assert row["device"] == "cpu" and row["commit"] == versions.commit()
