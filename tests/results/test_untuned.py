@@ -89,63 +89,173 @@ def test_the_table_of_ppo_tuned_here_is_that_of_its_runs():
         assert (f"| {row[0]} | **{cost}** | {row[1]} |" in PAGE) == (name in least)
 
 
-def test_beside_best_tuned_ppo_needs_what_the_page_says():
-    """`best` in both batches; what ran before; what runs next; and the same in 21_less."""
-    table, jobs = read("best")
-    chosen, level = soonest("walks"), soonest("level")
-    assert [name for name, _ in chosen.values()] == ["512-kl3", "256-kl3"]
-    assert [name for name, _ in level.values()] == ["128-kl3", "256-kl3"]
-    best, one, other = (
-        {
-            r: table.reached([run for n in names for run in table.seeds(jobs[f"{r}-best{n}"])], 24)
-            for r in ROBOTS
-        }
-        for names in (("", "-2"), ("",), ("-2",))
-    )
-    ppo, soon = (
-        {r: table.reached(table.seeds(job), 24) for r, (_, job) in some.items()}
-        for some in (chosen, level)
-    )
-    ratios = [stats.ratio(soon[r].level, best[r].level) for r in ROBOTS]
-    text = (
-        "needs {:.1f} times the steps of `best` on ANYmal-B (Fieller's 95 % {:.1f} to {:.1f}) and "
-    )
-    assert (
-        text.format(*ratios[0]) + "{:.1f} times on Spot ({:.1f} to {:.1f})".format(*ratios[1])
-        in WORDS
-    )
-    first = [best[r].level.mean() / 1e6 for r in ROBOTS]
-    assert "first there after {:.2f} and {:.2f} M in its two batches".format(*first) in WORDS
-    more = [stats.difference(ppo[r].walks / 1e6, best[r].walks / 1e6) for r in ROBOTS]
-    assert all(some.low < 0 < some.high for some in more)
-    walks = [best[r].walks.mean() / 1e6 for r in ROBOTS]
-    text = "{:.2f} M more on {} ({:.2f} fewer to {:.2f} more; `best` {:.2f} M"
-    for found, name, mean in zip(more, ROBOTS.values(), walks, strict=True):
-        assert text.format(found.value, name, -found.low, found.high, mean) in WORDS
-    each = [some["spot"].walks.mean() / 1e6 for some in (one, other)]
-    assert ", {:.2f} in the batch of the table and {:.2f} in the other".format(*each) in WORDS
-    p = [stats.rank_sum(ppo[r].walks, best[r].walks) for r in ROBOTS]
-    assert "(p {:.3f}; Spot {:.2f}; looked at".format(*p) in WORDS
-    alone = stats.difference(ppo["spot"].walks / 1e6, one["spot"].walks / 1e6)
-    assert "alone Spot's needs {:.2f} M more ({:.2f} to {:.2f})".format(*alone) in WORDS
+def million(job, goal, half=False, end=np.inf):
+    """Million steps of each seed of one batch without evaluations after `end`; NaN: never. `half`: less half
+    the interval before the evaluation where it gets there."""
+    table = script("21_less/table")
+    runs = {
+        run[0]["seed"]: [row for row in run if row["sim_steps"] <= end] for run in table.seeds(job)
+    }
+    found = getattr(table.reached(list(runs.values()), 24), goal)
+    if half:
+        for k, run in enumerate(runs.values()):
+            at = np.array([0, *(row["sim_steps"] for row in run)])
+            found[k] -= np.diff(at)[at[1:] == found[k]].sum() / 2
+    return {seed: x / 1e6 for seed, x in zip(runs, found, strict=True)}
+
+
+def seed_means(batches, *how, **which):
+    """A number a seed, the mean of its runs; and a number a run. Equal seeds are in all batches."""
+    each = [million(job, *how, **which) for job in batches]
+    assert all(one.keys() == each[0].keys() for one in each)
+    runs = np.array([list(one.values()) for one in each])
+    return runs.mean(0), runs.ravel()
+
+
+def both_batches():
+    """Of each robot: jobs of `best`, of PPO chosen to walk, of PPO soonest at the level; one a batch."""
+    _, jobs = read("best")
     _, before = read("ppo", "1")
-    (job,) = before.values()
-    was = table.reached(table.seeds(job), 24)
+    found = {}
+    for robot in ROBOTS:
+        best = [jobs[f"{robot}-best"], jobs[f"{robot}-best-2"]]
+        some = [soonest(goal)[robot] for goal in ("walks", "level")]
+        ppo = [
+            [*([old] if (old := before.get(f"{robot}-grid-{name}")) else []), job]
+            for name, job in some
+        ]
+        found[robot] = best, *ppo
+    return found
+
+
+def around(found):
+    """Ends of an interval of a difference, in words."""
+    if found.low < 0:
+        return f"{-found.low:.2f} fewer to {found.high:.2f} more"
+    return f"{found.low:.2f} to {found.high:.2f}"
+
+
+def test_beside_best_tuned_ppo_needs_what_the_page_says():
+    """By means of seeds, whose runs of both batches count on both sides."""
+    assert [name for name, _ in soonest("walks").values()] == ["512-kl3", "256-kl3"]
+    assert [name for name, _ in soonest("level").values()] == ["128-kl3", "256-kl3"]
+    jobs = both_batches()
+    assert [list(map(len, some)) for some in jobs.values()] == [[2, 2, 1], [2, 1, 1]]
+    best, ppo, soon, wide = {}, {}, {}, {}
+    for robot, (mine, chosen, level) in jobs.items():
+        best[robot] = {goal: seed_means(mine, goal)[0] for goal in ("walks", "level")}
+        ppo[robot], soon[robot] = seed_means(chosen, "walks")[0], seed_means(level, "level")[0]
+        wide[robot] = seed_means(chosen, "level")[0]
+        assert len(best[robot]["walks"]) == 5 and len(ppo[robot]) == len(soon[robot]) == 3
+    some = [stats.ratio(soon[r], best[r]["level"]) for r in ROBOTS]
+    some.append(stats.ratio(wide["anymal_b"], best["anymal_b"]["level"]))
+    text = "needs {:.1f} times the steps of `best` on ANYmal-B ({:.1f} to {:.1f}) and ".format(
+        *some[0]
+    )
+    text += "{:.1f} times on Spot ({:.1f} to {:.1f}); ".format(*some[1])
+    assert (
+        text + "512 robots on ANYmal-B {:.1f} times ({:.1f} to {:.1f}).".format(*some[2]) in WORDS
+    )
+    first = [best[r]["level"].mean() for r in ROBOTS]
+    assert "`best` is first there after {:.2f} and {:.2f} M.".format(*first) in WORDS
+    one, other = (stats.difference(ppo[r], best[r]["walks"]) for r in ROBOTS)
+    assert one.low > 0 > other.low
+    p = stats.welch_of(ppo["anymal_b"], best["anymal_b"]["walks"])
+    means = [x.mean() for r in ROBOTS for x in (ppo[r], best[r]["walks"])]
+    text = f"needs {one.value:.2f} M more on ANYmal-B ({around(one)}, p {p:.3f}): "
+    text += "{:.2f} M, `best` {:.2f}. On Spot no difference is shown, ".format(*means[:2])
+    text += f"{other.value:.2f} M more ({around(other)}): " + "{:.2f} M, `best` {:.2f}.".format(
+        *means[2:]
+    )
+    assert f"To a walk** the chosen PPO {text}" in WORDS
+    head = WORDS.split("In `isaaclab_exact`")[0]
+    text = f"needs {one.value:.2f} M more with the PPO chosen for that than with `best` ({around(one)}, "
+    assert text in head
+    fewest = [soon[r].mean() for r in ROBOTS]
+    assert "needs {:.2f} and {:.2f} M, PPO-16".format(*fewest) in head
+
+
+def test_other_ways_to_count_say_what_the_page_says():
+    """Runs singly, one batch, a setting that ties; half an interval less; `best` cut off where PPO ends."""
+    jobs = both_batches()
+    mine, chosen, _ = jobs["anymal_b"]
+    best, runs = seed_means(mine, "walks")
+    mean, six = seed_means(chosen, "walks")
+    assert (len(six), len(runs)) == (6, 10)
+    singly = stats.difference(six, runs)
+    assert f"each run counted singly, six and ten, gives {around(singly)} M more" in WORDS
+    second = stats.difference(seed_means(chosen[1:], "walks")[0], best)
+    tie = seed_means([read("ppo", "2")[1]["anymal_b-grid-256-kl3"]], "walks")[0]
+    assert round(tie.mean(), 6) == round(mean.mean(), 6)
+    tied = stats.difference(tie, best)
+    assert singly.low > 0 > max(second.low, tied.low)
+    assert f"512 robots were chosen, shows nothing ({around(second)}), nor do 256 robots" in WORDS
+    assert f"which ran once and tie at {tie.mean():.2f} M ({around(tied)})" in WORDS
+    mine, chosen, _ = jobs["spot"]
+    one, other = (seed_means([job], "walks")[0] for job in mine)
+    text = f"`best` walks after {one.mean():.2f} M in the batch of the table and {other.mean():.2f} in the"
+    assert text in WORDS
+    alone = stats.difference(seed_means(chosen, "walks")[0], one)
+    assert f"first alone PPO needs {alone.value:.2f} M more ({around(alone)})" in WORDS
+    ratios, later, cut, less = [], [], [], set()
+    end = chosen[0][-1]["sim_steps"]
+    for mine, chosen, soon in jobs.values():
+        best, ppo = (seed_means(x, "level", half=True)[0] for x in (mine, soon))
+        ratios.append(stats.ratio(ppo, best))
+        plain = [seed_means(x, "level")[0].mean() for x in (soon, mine)]
+        assert ratios[-1].low > 1 and ratios[-1].value > plain[0] / plain[1]
+        less.add(round(plain[0] - plain[1] - stats.difference(ppo, best).value, 2))
+        sides = [seed_means(x, "walks", half=True)[0] for x in (chosen, mine)]
+        later.append(stats.difference(*sides))
+        ppo, best = seed_means(chosen, "walks")[0], seed_means(mine, "walks", end=end)[0]
+        cut.append(stats.difference(ppo, best))
+    text = "are larger, {:.1f} ({:.1f} to {:.1f}) and ".format(*ratios[0])
+    text += "{:.1f} ({:.1f} to {:.1f}), though the differences are ".format(*ratios[1])
+    (shift,) = less
+    assert text + f"{shift:.2f} M smaller." in WORDS
+    assert later[0].low > 0 > later[1].low
+    text = "To a walk PPO then needs {:.2f} M more on ANYmal-B ({}) and {:.2f} M more on Spot ({})."
+    assert text.format(later[0].value, around(later[0]), later[1].value, around(later[1])) in WORDS
+    mine, chosen, _ = jobs["anymal_b"]
+    whole = stats.difference(*(seed_means(x, "walks")[0] for x in (chosen, mine)))
+    assert cut[0] == whole and cut[1].low < 0
+    text = f"on Spot PPO needs {cut[1].value:.2f} M more ({around(cut[1])})."
+    assert f"nothing changes on ANYmal-B, and {text}" in WORDS
+    at = [
+        [row["sim_steps"] for row in script("21_less/table").seeds(x[0])[0]] for x in (chosen, mine)
+    ]
+    ppo, best = (np.diff(x) / 1e6 for x in at)
+    soon = [f"{x:.2f}" for x in (*set(ppo), best[0], at[1][6] / 1e6, np.median(best[6:]))]
+    text = (
+        "PPO's are {} M steps apart. Those of `best` are {} M apart up to {} M, then mostly {} M."
+    )
+    assert text.format(*soon) in WORDS and len(set(best[:6])) == 1 < len(set(best[:7]))
+    ends = at[1][-1] / 1e6, at[0][-1] / 1e6
+    text = "must walk until {:.1f} M, on {} episodes an evaluation, PPO until {:.1f} M, on {}."
+    first, last = (" ".join(x[0][0]["job"].split()[2:]) for x in (mine, chosen))
+    assert "eval_envs" not in first and "evaluated every 20 iterations on 100 episodes" in WORDS
+    assert "run.eval_envs=200" in last and "200 episodes of 20 s every 0.12 M steps" in WORDS
+    assert text.format(ends[0], 100, ends[1], 200) in WORDS
+
+
+def test_what_ran_before_and_what_21_less_says_of_it():
+    """The chosen job of ANYmal-B in batch 1, alone and with batch 2."""
+    table, (before,) = script("21_less/table"), read("ppo", "1")[1].values()
+    was = table.reached(table.seeds(before), 24)
     text = f"walked after {table.steps_of(was.walks).replace(' (', ' M (')}, and was at 24 after "
     assert text + table.steps_of(was.level) in WORDS
-    both = np.concatenate([was.walks, ppo["anymal_b"].walks]).mean() / 1e6
+    jobs = both_batches()
+    both = seed_means(jobs["anymal_b"][1], "walks")[0].mean()
     assert f"Both together take {both:.2f} M to a walk, as 256 robots with a KL of 0.03 do" in WORDS
-    beside = table.reached(table.seeds(read("ppo", "2")[1]["anymal_b-grid-256-kl3"]), 24).walks
-    assert round(beside.mean() / 1e6, 2) == round(both, 2)
     _, cut = read("cut")
     assert len(cut) == 3 and "Three jobs were cut off then" in WORDS
-    fewest = [soon[r].level.mean() / 1e6 for r in ROBOTS]
-    assert "needs {:.2f} and {:.2f} M, PPO-16".format(*fewest) in WORDS
     page = " ".join((LESS / "ppo.md").read_text().split())
-    told = [ppo[r].walks.mean() / 1e6 for r in ROBOTS]
-    text = "ANYmal-B walks after {:.2f} M (512 robots, KL 0.03), Spot after {:.2f} M (256 robots, KL 0.03); "
-    text += "soonest at the level are 128 and 256 robots, after {:.2f} and {:.2f} M"
-    assert text.format(*told, *fewest) in page
+    told = [seed_means(jobs[r][1][-1:], "walks")[0].mean() for r in ROBOTS]
+    fewest = [seed_means(jobs[r][2], "level")[0].mean() for r in ROBOTS]
+    text = f"ANYmal-B walks after {told[0]:.2f} M (512 robots, KL 0.03; {was.walks.mean() / 1e6:.2f} M in an "
+    text += f"earlier batch of the same job and seeds; both together, {both:.2f} M, tie with 256 robots), "
+    text += f"Spot after {told[1]:.2f} M (256 robots, KL 0.03); soonest at the level are 128 and 256 robots, "
+    assert text + "after {:.2f} and {:.2f} M".format(*fewest) in page
 
 
 def test_ppo_of_the_exact_task_is_that_of_21_less():
@@ -181,11 +291,11 @@ def test_jobs_on_fresh_seeds_are_those_that_choose_takes(monkeypatch):
     monkeypatch.chdir(FOLDER)
     choose, asked = script("21_less/choose"), paper.jobs(FOLDER / "ppo.txt")
     lines, seen = [], set()
-    for goal, seed in (("walks", 1200), ("level", 1300)):
+    for goal in ("walks", "level"):
         for robot, (setting, _) in soonest(goal).items():
             name = f"{robot}-grid-{setting}"
             if name not in seen:
-                lines.append(choose.fresh(f"{goal}-{name}", asked[name], seed, 10))
+                lines.append(choose.fresh(f"{goal}-{name}", asked[name], 1200, 10))
             seen.add(name)
     text = (FOLDER / "fresh.txt").read_text()
     assert text.startswith("".join(lines))
@@ -199,5 +309,17 @@ def test_jobs_on_fresh_seeds_are_those_that_choose_takes(monkeypatch):
         config.run.log_every = config.run.eval_every  # as run.py sets it
         config = config_lib.validate(config)
         assert schedule.uses_model(config) == (line in rest)
-        assert (config.run.num_seeds, config.run.eval_envs) == (10, 1000)
+        assert (config.run.seed, config.run.num_seeds, config.run.eval_envs) == (1200, 10, 1000)
+        at = schedule.sim_steps(config)[config.run.eval_every - 1 :: config.run.eval_every] / 1e6
+        if line in rest:
+            late = np.flatnonzero(np.diff(at) > 0.2)[0]
+            told = (
+                f"`best` {at[1] - at[0]:.3f} M until {at[late]:.2f} M, then {at[-1] - at[-2]:.3f} M"
+            )
+            assert told in WORDS and np.allclose(np.diff(at[: late + 1]), at[1] - at[0])
+            assert np.allclose(np.diff(at[late:]), at[-1] - at[-2])
+        else:
+            assert f"PPO's are {at[0]:.3f} M apart" in WORDS and np.allclose(np.diff(at), at[0])
+            assert f"up to {at[-1]:.2f} M, where PPO ends" in WORDS
+            assert f"counts with {2 * at[-1]:.2f} M on both sides" in WORDS
         assert line not in rest or all(field.startswith("run.") for field in fields)
