@@ -8,6 +8,7 @@ and without symmetric networks, three seeds each, beside ten of 21_less. Right a
 one seed each.
 """
 
+import functools
 import importlib
 from pathlib import Path
 
@@ -46,8 +47,8 @@ WINDOW = (2.2e6, 2.5e6)  # steps: the last that SAC has
 WINDOW_EARLY = (0.35e6, 0.41e6)  # the last that CrossQ has
 WINDOW_TODAY = (0.9e6, 1.25e6)  # the last that the first try of symmetric SAC has
 WINDOW_LATE = (1.75e6, 2.05e6)  # the last that SAC has
-PAIRS = [  # of today's task; "sac-twice" has both tries of symmetric SAC
-    *(("crossq", name, WINDOW_EARLY) for name in ("best-g", "ppo-level-g", "sac-symmetric")),
+PAIRS = [  # of today's task; "sac-twice" has both tries of symmetric SAC, "sac-symmetric" the whole one
+    *(("crossq", name, WINDOW_EARLY) for name in ("best-g", "ppo-level-g", "sac-twice")),
     *(("sac-symmetric", name, WINDOW_LATE) for name in ("sac-today", "ppo-level-g", "best-g")),
     *(("sac-twice", name, WINDOW_TODAY) for name in ("sac-today", "ppo-level-g", "best-g")),
 ]
@@ -104,13 +105,22 @@ def read() -> dict[str, list[dict]]:
     return jobs | {"sac-twice": jobs["sac-symmetric"] + twice}
 
 
+def by_seed(job, of) -> np.ndarray:
+    """`of` of each seed's run, `[S]`; of a seed that ran twice, the mean of both."""
+    found = {}
+    for run in less.table.seeds(job):
+        found.setdefault(run[0]["seed"], []).append(of(run))
+    return np.array([np.mean(values) for values in found.values()])
+
+
 def beside(one, other, window) -> str:
     """Steps to 30, 35 and 38 of `one` less those of `other`, and its return less that in `window`."""
     parts = []
     for level in (30, 35, LEVEL):
-        pair = [[less.table.first(run, level) for run in less.table.seeds(j)] for j in (one, other)]
+        first = functools.partial(less.table.first, level=level)
+        pair = [by_seed(job, first) for job in (one, other)]
         if np.isfinite(np.concatenate(pair)).all() and max(map(np.ptp, pair)) > 0:
-            gap = stats.difference(*(np.array(steps) / 1e6 for steps in pair))
+            gap = stats.difference(*(steps / 1e6 for steps in pair))
             text = f"{gap.value:.2f} M ({gap.low:.2f} to {gap.high:.2f})"
             text += f", {stats.ratio(*pair).value:.2f} times"
             parts.append(f"to {level:g} {text}, p {stats.welch_of(*pair):.2g}")
@@ -119,13 +129,11 @@ def beside(one, other, window) -> str:
 
 def equal_steps(one, other, window) -> str:
     """How much more `one` returns than `other` in a window, a seed with the mean of its evaluations there."""
-    means = []
-    for job in (one, other):
-        runs = [
-            [r["return"] for r in run if window[0] <= r["sim_steps"] <= window[1]]
-            for run in less.table.seeds(job)
-        ]
-        means.append([np.mean(returns) for returns in runs])
+
+    def inside(run):
+        return np.mean([r["return"] for r in run if window[0] <= r["sim_steps"] <= window[1]])
+
+    means = [by_seed(job, inside) for job in (one, other)]
     found = stats.difference(*means)
     text = f"{window[0] / 1e6} to {window[1] / 1e6} M steps: {found.value:.1f} "
     text += f"({found.low:.1f} to {found.high:.1f}), p {stats.welch_of(*means):.0e}; "
