@@ -255,7 +255,7 @@ def test_how_many_few_robots_need_which_steps_is_as_the_page_says():
     )
     assert f"sixteen after {told[2]:,.0f} (three seeds each)" in text
     many = [1e2 * round(10 * float(rows[robots][0].split()[0])) for robots in ("256", "1024")]
-    assert "256 Go1 need {:,.0f}, 1024 need {:,.0f}.".format(*many) in text
+    assert "({:,.0f} and {:,.0f} on tuning seeds, with smaller steps late)".format(*many) in text
     last = (
         f"an ANYmal-C after {anymal_at.level.mean() / 1e3:.1f} ({anymal_at.level.max() / 1e3:.1f})"
     )
@@ -802,9 +802,15 @@ def test_the_seconds_of_few_robots_are_those_of_their_runs():
     told = [f"{x[2]:.1f}" for x in level.values()]
     told = f"1024 Go1 are at the level after {', '.join(told[:-1])} and {told[-1]} s."
     assert f"1, 4, 16, 64, 256 and {told}" in text and [*found] == [1, 4, 16, 64, 256, 1024]
-    few = [100 * round(level[robots][1] / 100) for robots in (1, 4, 16, 64)]
+    few = [100 * round(level[robots][1] / 100) for robots in found]
     told = "On three fresh seeds each it is {:,.0f}, {:,.0f} and {:,.0f}, and all nine walk"
     assert told.format(*few) in text and f"Five more fresh Go1 need [{few[3]:,.0f}]" in text
+    assert f"256 robots need {few[4]:,.0f}, 1024 need {few[5]:,.0f} (" in text
+    readme = " ".join((EXPERIMENTS.parent / "README.md").read_text().split())
+    told = f"One Go1 alone needs {few[0] / 1e3:.1f} thousand (three fresh seeds, all walk;"
+    assert told in readme
+    told = f"256 need {few[4] / 1e3:.0f} thousand and {level[256][2]:.1f} s on an H200"
+    assert told in readme
     for robots, one in found.items():
         count = 5 if robots == 64 else 3
         assert len(one.level) == count and np.isfinite(one.level).all()
