@@ -140,7 +140,9 @@ class Model(NamedTuple):
     activation: Activation = "elu"
     learning_rate: Positive = 3e-3  # paper, Table II
     epochs: Few = 25  # paper, Table II
-    late_epochs: Whole | None = None  # epochs after iteration late_from; None: the same
+    late_epochs: Annotated[int, Between(0, 10_000)] | None = (
+        None  # after iteration late_from; None: epochs
+    )
     late_from: int = 50
     minibatches: Count = 2  # gradient steps of an epoch when all N rows are real; divides N
     huber_delta: Positive = 1.0  # in units of the (normalised) target

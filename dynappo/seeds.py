@@ -71,8 +71,10 @@ def _set(node, field, path, values):
             f"{field} is None, so the compiled program does not have it; expected an environment and a "
             f"hyper of a config where it is a number: set config.{field}, then vary it"
         )
-    if not rest and jnp.ndim(old) + isinstance(old, tuple):
-        raise ValueError(f"{field} has several numbers, expected a field with one")
+    if not rest and (isinstance(old, tuple) or jnp.ndim(old)):
+        raise ValueError(
+            f"{field} has several numbers, or a value for each seed already; expected a field with one number"
+        )
     if not rest and field.startswith(("task.randomize.", "task.joint_friction")) and not old:
         raise ValueError(
             f"{field} is 0, so no robot of the compiled program has this error; expected an environment and "

@@ -219,6 +219,8 @@ def test_the_nominal_task_has_no_noise_and_one_body():
         "task.randomize.kp_scale": (0.9, 1.1),
         "task.randomize.kd_scale": (0.9, 1.1),
         "task.randomize.base_com": (0.05, 0.05, 0.01),
+        "task.randomize.strength": (0.8, 1.2),
+        "task.randomize.armature": (0.8, 1.2),
         "task.push.velocity": 0.5,
     }
     hyper = toy_env.settings(fields)[2]
@@ -230,20 +232,27 @@ def test_the_nominal_task_has_no_noise_and_one_body():
     assert nominal.push.velocity == 0 and nominal.push.interval == task.push.interval
     middle = nominal.randomize
     assert [float(x) for x in middle.base_mass + middle.base_com] == [0.0] * 5
-    assert [float(x) for x in middle.kp_scale + middle.kd_scale] == [1.0] * 4
+    shares = middle.kp_scale + middle.kd_scale + middle.strength + middle.armature
+    assert [float(x) for x in shares] == [1.0] * 8
     np.testing.assert_allclose(middle.friction, (0.7, 0.7), 1e-6)
     kept = nominal._replace(noise=task.noise, randomize=task.randomize, push=task.push)
     assert kept == task and any(x > 0 for x in jax.tree.leaves(task.noise))
 
 
 def test_a_nominal_robot_is_the_robot_of_its_file():
-    """Drawn from the nominal ranges, every robot has the masses and gains of the XML."""
-    task = scores.nominal(toy_env.settings()[2]).task
+    """Drawn from the nominal ranges, every robot has the masses, gains, strength and armature of the XML."""
+    motors = frozenset(("strength", "armature"))
+    fields = {f"task.randomize.{name}": (0.8, 1.2) for name in motors}
+    task = scores.nominal(toy_env.settings(fields)[2]).task
     com = jnp.array([0.01, 0.0, -0.02])
-    draws = [randomize.draw(task.randomize, 5.2, com, jax.random.key(seed)) for seed in range(3)]
+    draws = [
+        randomize.draw(task.randomize, 5.2, com, jax.random.key(seed), motors) for seed in range(3)
+    ]
     for draw in draws[1:]:
         jax.tree.map(np.testing.assert_array_equal, draw, draws[0])
     np.testing.assert_allclose(draws[0].base_com, com, 1e-6)
+    for name in ("mass_scale", "kp_scale", "kd_scale", *motors):
+        assert getattr(draws[0], name) == 1, name
 
 
 class Spy(NamedTuple):

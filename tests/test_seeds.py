@@ -247,6 +247,8 @@ def test_robots_on_devices_of_their_own_send_sums_and_finished_episodes_only(mes
         ("ppo.learning_rte", "ppo.learning_rte is not a float"),
         ("task.command_x", "several numbers"),
         ("task.noise", "several numbers"),
+        ("task", "several numbers"),
+        ("task.randomize", "several numbers"),
         ("physics.timestep", "compiled program"),
         ("run.seed", "compiled program"),
     ],

@@ -215,6 +215,10 @@ def _check_pattern(name: str, pattern: str) -> None:
     short = len(pattern) <= 100 and len(re.findall(r"[*+{]", repeats)) <= REPEATS
     text = f"a pattern of at most 100 characters, {REPEATS} of them * or +, and no group repeated"
     expect(short and not re.search(r"\)[*+{]", repeats), f"a pattern of {name}", pattern, text)
+    # in a comment, or with (?x), a [ begins no class, and what is between brackets above is live
+    expect(
+        not re.search(r"\(\?(?!:)", pattern), f"a pattern of {name}", pattern, "no (? but in (?:"
+    )
     try:
         re.compile(pattern)
     except (re.error, OverflowError, RecursionError) as error:

@@ -25,6 +25,14 @@ OWN = (pathlib.Path(), pathlib.Path("configs"))  # a name in one of these may me
 
 # what an environment by name (config.env) reads of the groups task and physics
 OF_NAMED = ("task.episode_length", "task.random_clock", "physics.impl")
+FOLLOWS = {  # fields that are written with another one, and from what
+    **dict.fromkeys(
+        ("task.terms_hash", "task.terms_about"), "the file that --config.task.terms names"
+    ),
+    "task.tiles.map_hash": "the file that --config.task.tiles.map names",
+    "run.logs_hash": "the file that --logs names",
+    "code": "the config's file with get_env",
+}
 
 
 def load(spec: str) -> config_dict.ConfigDict:
@@ -138,8 +146,8 @@ def override(config: config_dict.ConfigDict, field: str, text: str) -> None:
             f"--config.{field}: {config.env} has its own weights, noise, commands and physics; of these "
             f"groups it reads {', '.join(OF_NAMED)}"
         )
-    if field in ("task.terms_hash", "task.terms_about"):
-        raise ConfigError(f"--config.{field}: follows from the file that --config.task.terms names")
+    if field in FOLLOWS:
+        raise ConfigError(f"--config.{field}: follows from {FOLLOWS[field]}; leave it out")
     if isinstance(old, config_dict.ConfigDict):
         raise ConfigError(f"--config.{field} is a group, expected one of {', '.join(old)}")
     kind = fields.field(field)

@@ -6,13 +6,15 @@ import ast
 import hashlib
 from pathlib import Path
 
+from dynappo.config.fields import ConfigError
+
 BESIDE = "get_config"  # may change: what it returns is compared field by field
 
 
 def digest(path: Path) -> str:
     """A hash of what a config's file says, and of the files beside it that it imports, in any depth.
 
-    Comments, docstrings, layout and the function get_config do not count.
+    Comments, docstrings, layout and the function get_config do not count. ConfigError if one is no Python.
     """
     texts: dict[Path, str] = {}
     _read(path.resolve(), texts)
@@ -24,7 +26,12 @@ def _read(path: Path, texts: dict[Path, str]) -> None:
     """Add the text of a file, and of those that it imports, to `texts`."""
     if path in texts:
         return
-    tree = ast.parse(path.read_bytes())
+    try:
+        tree = ast.parse(path.read_bytes(), str(path))
+    except (SyntaxError, ValueError, RecursionError) as error:
+        line = getattr(error, "lineno", None)
+        at = f"{path}, line {line}" if line else f"{path}"
+        raise ConfigError(f"{at}: it is no Python ({getattr(error, 'msg', error)})") from None
     tree.body = [node for node in tree.body if getattr(node, "name", "") != BESIDE]
     for node in ast.walk(tree):
         if isinstance(body := getattr(node, "body", None), list):

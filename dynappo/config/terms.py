@@ -195,7 +195,8 @@ def known(
     They are `start` where an episode begins. Then the function gives the next ones: a parameter of its own
     name is what they were.
     """
-    seen = Observation(len(start), unit, None, signs, order, scale, shown, tuple(map(float, start)))
+    start = tuple(_number("start", number) for number in start)
+    seen = Observation(len(start), unit, None, signs, order, scale, shown, start)
     return _marked(_checked(seen), numbers)
 
 
@@ -221,7 +222,8 @@ def curriculum(
     """A number that each robot keeps: `start` at first, then what the function makes of it where an episode
     ends, from a parameter of its own name. An evaluation has `evaluated` (None: `start`) throughout."""
     start = _number("start", start)
-    return _marked(Curriculum(start, start if evaluated is None else evaluated), numbers)
+    there = start if evaluated is None else _number("evaluated", evaluated)
+    return _marked(Curriculum(start, there), numbers)
 
 
 def _marked(how: Any, numbers: Mapping[str, float] | None):

@@ -138,6 +138,8 @@ def _check_pairs(config, fields: dict[str, Any]) -> None:
     )
     text = "False where ppo.normalize is True, which scales each input by itself"
     expect(not (ppo.normalize and ppo.scale_inputs), "ppo.scale_inputs", ppo.scale_inputs, text)
+    text = "0 where ppo.normalize is True, whose moments move the policy in every iteration"
+    expect(not (ppo.normalize and ppo.value_first), "ppo.value_first", ppo.value_first, text)
     late_from, late_kl = config.schedule.late_from, config.ppo.late_kl
     text = f"an iteration where ppo.late_kl is {late_kl:g}: it holds after that"
     expect(late_from is not None or late_kl == 1, "schedule.late_from", late_from, text)

@@ -20,7 +20,7 @@ from dynappo.types import Env, Hyper, Static, Transition
 class Examples(NamedTuple):
     """The rows that the model learns from: `t < count`, where the weight is 1.
 
-    T is the horizon N; a memory of earlier iterations' rows would make it longer.
+    T is the horizon N, or the number of rows drawn from a memory (`memory.draw`).
     """
 
     x: Float[Array, "T R I"]  # input

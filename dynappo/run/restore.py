@@ -25,12 +25,29 @@ MEANING = (
 ).split()
 
 
-def start_from(folder: Path, state: Any, workdir: Path, say: Callable[[str], None] = print) -> Any:
-    """The first state of a run, with the networks of another run (`weights`); not yet placed on devices.
+def start_from(
+    folder: Path, config, state: Any, workdir: Path, say: Callable[[str], None] = print
+) -> Any:
+    """The first state of a run of `config`, with the networks of another run (`weights`); not yet placed on
+    devices.
 
     `workdir/restored_from` then also names the checkpoint that was taken.
     """
-    taken, state = distributed.from_first(lambda like: weights(folder, like, say), state)
+
+    def read(like):
+        model = like.model
+        if model is not None and config.model.symmetry:
+            there, _ = about(folder)
+            if not there.get("model.symmetry", False) and there.get("schedule.end_steps"):
+                say(
+                    f"--restore={folder}: model.symmetry is False there, True here, so its transition model "
+                    "is not its own mirror image; it starts untrained"
+                )
+                like = like.replace(model=None)
+        taken, found = weights(folder, like, say)
+        return taken, found.replace(model=model) if found.model is None else found
+
+    taken, state = distributed.from_first(read, state)
     if distributed.first():
         say(f"starts from {folder}, {taken}")
         files.write_text(workdir / "restored_from", f"{folder.resolve()}\n{taken}\n")
@@ -134,6 +151,11 @@ def check(source: Path, config) -> None:
         names += ["run.num_seeds", "ppo.critic_hidden", "ppo.normalize"]
         if schedule.uses_model(config) and there.get("schedule.end_steps"):
             names += ["model.hidden", "model.activation", "model.falls"]
+    if config.ppo.symmetry and not there.get("ppo.symmetry", True):
+        raise ConfigError(  # symmetric gradients keep what is not symmetric (learner/symmetry.py)
+            f"--restore={source}: ppo.symmetry is False there, True here, and its policy is not its own "
+            "mirror image; set --config.ppo.symmetry=False"
+        )
     for name in names:
         one, other = (d[name] for d in (there if name in there else here, here))
         if np.ravel(one).tolist() != np.ravel(other).tolist():

@@ -231,7 +231,7 @@ def _resumed(
     if writes:
         checkpoints = files.enter_context(checkpoint.opened(workdir, say))
     if run.source:
-        state = restore.start_from(run.source, state, workdir, say)
+        state = restore.start_from(run.source, config, state, workdir, say)
         if writes and (text := restore.apart(run.source, config)):
             say(text)
     start, state, history = workdir_lib.resume(config, workdir, checkpoints, state, say, made)

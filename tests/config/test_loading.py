@@ -95,6 +95,25 @@ def test_a_file_that_cannot_be_used_is_refused_by_name(tmp_path, name):
 
 
 @pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (b"x = 1\ndef broken(:\n", "helper.py, line 2: it is no Python ("),
+        (b"x = 1\n\0", "helper.py: it is no Python (source code string cannot contain null bytes"),
+        (b"# -*- coding: foo -*-\n", "helper.py: it is no Python (unknown encoding: foo"),
+    ],
+)
+def test_a_file_that_get_env_imports_and_that_is_no_python_is_one_line(tmp_path, text, said):
+    """It has not been run when its text is compared with that of a run to go on."""
+    (tmp_path / "helper.py").write_bytes(text)
+    (tmp_path / "mine.py").write_text(
+        f"import runpy\nd = runpy.run_path({str(ROOT / 'configs' / 'default.py')!r})\n"
+        "def get_config(variant=''): return d['defaults']()\n"
+        "def get_env(config):\n    import helper\n"
+    )
+    assert said in refused(config_lib.load, str(tmp_path / "mine.py"))
+
+
+@pytest.mark.parametrize(
     ("spec", "expected"),
     [
         ("configs/nobody.py", "no file 'configs/nobody.py' here or among dynappo's own configs"),
@@ -179,6 +198,9 @@ BAD_OVERRIDES = [  # field, text, what the line must say
     ("ppo.hidden", "{[]: 1}", "expected tuple"),
     ("task.terms_about", "{", "follows from the file that --config.task.terms names"),
     ("task.terms_hash", "0", "follows from the file that --config.task.terms names"),
+    ("task.tiles.map_hash", "abc", "follows from the file that --config.task.tiles.map names"),
+    ("run.logs_hash", "abc", "follows from the file that --logs names"),
+    ("code", "abc", "follows from the config's file with get_env"),
     ("ppo.hidden", "(64, True)", "expected tuple"),
 ]
 

@@ -67,6 +67,8 @@ BAD = {  # of task.kp
     ),
     "one of them is": ((1, 2, 3, 4, 5, -6), "-6.0), expected 0 to 100,000"),
     "not finite": ({".*": float("nan")}, "task.kp of '.*' is nan, expected finite numbers"),
+    "a comment": ({r"(?#[)(\w+\w+)+!(?#])": 1}, "expected no (? but in (?:"),
+    "a flag": ({"(?x)#[\n(\\w+\\w+)+!#]": 1}, "expected no (? but in (?:"),
     "a text": ("stiff", "task.kp is 'stiff', expected float, a dict of floats by patterns"),
     "of texts": ({".*": "stiff"}, "expected float, a dict of floats by patterns"),
     "of truth": ((True,) * 6, "expected float, a dict of floats by patterns"),

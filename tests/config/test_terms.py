@@ -126,6 +126,8 @@ MISTAKES = {  # of a file -> a part of the line
     "raise SystemExit(0)\n": "mine.py cannot be run: SystemExit",
     WORK.replace("-1e-3", "float('nan')"): "weight is nan, expected a finite number",
     WORK.replace("0.5", "'half'"): "share is 'half', expected a finite number",
+    "@terms.curriculum(start=0.1, evaluated='x')\ndef f(f): return f\n": "evaluated is 'x', expected",
+    "@terms.known(start=(float('nan'),))\ndef f(f): return f\n": "start is nan, expected a finite number",
     SEEN.replace("size=1", "size=0"): "size is 0, expected an integer above 0",
     SEEN.replace("(1,)", "(1, -1)"): "signs is (1, -1), expected a tuple of 1 times 1 or -1",
     SEEN.replace("(1,)", "(1,), order=(1,)"): "order is (1,), expected a tuple of 0 to 0",

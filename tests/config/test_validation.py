@@ -176,6 +176,7 @@ TOO_FAR = [  # what made a traceback, wrapped round, overflowed in float32 or to
     {"rollout.num_envs": 8 * 10**6, "rollout.horizon": 8192},
     {"schedule.start_iteration": -(10**30)},
     {"model.late_from": FAR},
+    {"model.late_epochs": 2 * 10**9},
     {"model.minibatches": FAR, "schedule.end_steps": 0},
     {"ppo.hidden": (64,) * 1000},
     {"ppo.value_coef": 1e39},

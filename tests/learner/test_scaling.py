@@ -1,5 +1,7 @@
 """`ppo.normalize`: running moments against NumPy's of all rows, and a policy file that needs none of it."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,8 +9,8 @@ import pytest
 import toy_env
 from answers import refused
 
+from dynappo import algorithm, fast, schedule
 from dynappo import config as config_lib
-from dynappo import fast
 from dynappo.learner import networks, ppo, scaling, symmetry
 from dynappo.policy import policy_file
 from dynappo.types import Mirror
@@ -140,3 +142,38 @@ def test_it_goes_with_no_other_scaling():
     assert "ppo.scale_inputs is True, expected False" in refused(config_lib.validate, config)
     config.ppo.update(scale_inputs=False, symmetry=True)
     config_lib.validate(config)
+
+
+@pytest.mark.parametrize("fields", [{}, {"ppo.symmetry": True}, {"rollout.imagined": 3}], ids=str)
+def test_an_iteration_adds_its_real_rows_once_and_no_row_of_the_model(fields):
+    """Two iterations with a tail, against NumPy's mean and variance over the rows that physics wrote, and
+    over their mirror images where the policy is symmetric."""
+    env = toy_env.make()
+    flips = Mirror(np.arange(OBS), np.array([-1, 1, 1, -1, 1, 1]))
+    swaps = Mirror(np.array([1, 0]), np.ones(ACTIONS))
+    env = env._replace(mirror=(flips, swaps))
+    config, static, hyper = toy_env.settings(
+        toy_env.TAIL | {"ppo.normalize": True, "schedule.end_iteration": 1} | fields
+    )
+    state = jax.jit(functools.partial(algorithm.init, env, static=static))(hyper, jax.random.key(0))
+    iterate, collect = (
+        jax.jit(functools.partial(f, env, static=static))
+        for f in (algorithm.iterate, algorithm.collect)
+    )
+    seen = []
+    for i in range(2):
+        counts = {name: column[i] for name, column in schedule.columns(config).items()}
+        assert counts["n_real"] < static.rollout.horizon
+        key = jax.random.fold_in(state.key, counts["iteration"])
+        key = jax.random.fold_in(key, algorithm.ROWS)
+        rows, _, _ = collect(hyper, state, n_real=counts["n_real"], key=key)
+        seen.append(np.asarray(rows.obs[: counts["n_real"]]).reshape(-1, OBS))
+        if static.ppo.symmetry:
+            seen.append(seen[-1] * flips.sign)
+        state, _ = iterate(hyper, state, counts)
+    seen, of = np.concatenate(seen), state.learner.params["inputs"]
+    for network in ("actor", "critic"):
+        assert of[network]["count"] == len(seen)
+        np.testing.assert_allclose(of[network]["mean"], seen.mean(0), rtol=1e-4, atol=1e-5)
+        variance = of[network]["m2"] / of[network]["count"]
+        np.testing.assert_allclose(variance, seen.var(0), rtol=1e-4, atol=1e-5)

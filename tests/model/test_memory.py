@@ -74,7 +74,7 @@ def test_the_memory_holds_the_newest_rows_of_each_robot_in_turn(history, env):
 
 
 def test_the_schedule_says_where_the_ring_begins_and_how_full_it_is():
-    """Against a count in Python, also where it is larger than 32 bits."""
+    """Against a count in Python, also where it is larger than 32 bits: 10 billion rows."""
     config = settings({"run.num_iterations": 9, "run.log_every": 9})[0]
     table, before = schedule.columns(config), 0
     for i, n in enumerate(table["n_real"].tolist()):
@@ -82,6 +82,11 @@ def test_the_schedule_says_where_the_ring_begins_and_how_full_it_is():
         before += n
         assert table["memory_count"][i] == min(before, M)
     assert "memory_begin" not in schedule.columns(toy_env.settings(toy_env.TAIL)[0])
+    long = {"run.num_iterations": 1_000_000, "run.log_every": 1, "rollout.horizon": 10_000}
+    long |= {"model.memory": 10_007, "schedule.end_steps": 1, "schedule.end_iteration": 1}
+    last = {name: int(column[-1]) for name, column in schedule.columns(settings(long)[0]).items()}
+    assert last["n_real"] == 9999 and last["memory_count"] == 10_007
+    assert last["memory_begin"] == 9999 * 999_999 % 10_007
 
 
 @pytest.mark.parametrize("fields", [{"schedule.end_steps": 0}, {"model.memory": 0}])
@@ -322,7 +327,7 @@ def test_a_ring_lies_on_the_devices_of_its_robots(everything, env):
     assert seeds.shardings(mesh, two, 2).robot_index.spec == PartitionSpec("seed", "env")
 
 
-# ---- a symmetric model, weight decay
+# ---- a symmetric model
 
 OBS = Mirror(np.array([0, 2, 1, 3, 5, 4]), np.array([-1.0, 1, 1, 1, -1, -1]))
 ACTION = Mirror(np.array([1, 0]), np.array([1.0, 1]))
@@ -392,7 +397,7 @@ def test_a_symmetric_fit_is_a_fit_to_rows_and_mirrored_rows(tied):
 
 
 def test_off_it_is_the_program_of_before(env):
-    """No ring, no copies of rows and no more draws: the same states to the bit with every field at 0."""
+    """No ring, no copies of rows and no more draws: with every field at 0 each helper changes nothing."""
     config, static, hyper = toy_env.settings(toy_env.TAIL | {"schedule.rounds": 2})
     state = jax.jit(partial(algorithm.init, env, static=static))(hyper, jax.random.key(0))
     counts = row(config, n_real=5)

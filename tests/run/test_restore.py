@@ -18,12 +18,12 @@ from dynappo.program import build
 from dynappo.run import learning_curves, restore, training
 
 
-def test_another_run_starts_from_the_networks(program, whole, tmp_path):
+def test_another_run_starts_from_the_networks(program, config, whole, tmp_path):
     """Policy, value function, model and its moments are that run's; all else is new."""
     run = program()
     said = []
     fresh = run.state
-    state = restore.start_from(whole.workdir, fresh, tmp_path, said.append)
+    state = restore.start_from(whole.workdir, config, fresh, tmp_path, said.append)
     assert said == [f"starts from {whole.workdir}, checkpoint 4"]
     assert_same(state.learner.params, whole.state.learner.params)
     for part in ("params", "inputs", "targets"):
@@ -35,6 +35,23 @@ def test_another_run_starts_from_the_networks(program, whole, tmp_path):
     assert_same(plain.learner.params, whole.state.learner.params)
     written = (tmp_path / "restored_from").read_text()
     assert written == f"{whole.workdir}\ncheckpoint 4\n"
+
+
+def test_networks_that_are_not_their_own_mirror_image_start_none_that_must_be(
+    program, config, whole, tmp_path
+):
+    """A policy is refused; a model starts untrained, and that is told."""
+    assert not config.ppo.symmetry and not config.model.symmetry
+    line = refused(restore.check, whole.workdir, workdirs.config(ppo__symmetry=True))
+    assert (
+        "ppo.symmetry is False there, True here" in line and "--config.ppo.symmetry=False" in line
+    )
+    symmetric = workdirs.config(ppo__symmetry=True, model__symmetry=True)
+    said, fresh = [], program().state
+    state = restore.start_from(whole.workdir, symmetric, fresh, tmp_path, said.append)
+    assert_same(state.learner.params, whole.state.learner.params)
+    assert_same(state.model, fresh.model)
+    assert len(said) == 2 and "model.symmetry is False there, True here" in said[0]
 
 
 def test_a_run_with_a_source_trains_from_there(config, program, whole, tmp_path, monkeypatch):
