@@ -40,6 +40,9 @@ def one_line(xml: Path, what: str = ""):
         raise
     except (OSError, ValueError, RuntimeError, MemoryError, mujoco.FatalError) as error:
         text = getattr(error, "strerror", None) or str(error)
+        other = getattr(error, "filename", None)
+        if other and str(other) != str(xml):
+            what += f"{other}: "
         text = " ".join(text.split()) or "it needs more memory than there is"
         raise ConfigError(f"{xml}: {what}{text}") from None
 

@@ -23,10 +23,13 @@ def self_contained(spec: mujoco.MjSpec) -> str:
         element.classname = spec.default
     for body in spec.bodies[1:]:
         body.childclass = ""
+    spec.comment = ""  # it may have "--", which is no XML to other parsers
     try:
         root = ElementTree.fromstring(spec.to_xml())
     except UnicodeDecodeError as error:
         raise ValueError(f"expected a text in UTF-8: {error}") from None
+    except ElementTree.ParseError:  # MuJoCo's parser takes more
+        raise ValueError("a name in it has a character that no XML has; rename it") from None
     materials = {one.name for one in spec.materials}
     left = {one.get("class") for one in root.iter() if one.tag != "default"}
     for default in root.findall("default"):

@@ -76,6 +76,32 @@ def test_what_mujoco_cannot_compute_is_one_line(tmp_path, policy, monkeypatch):
     assert line == f"{GO1.xml}: mj_stackAlloc: out of memory"
 
 
+def test_an_error_of_another_file_names_that(tmp_path):
+    xml, other = tmp_path / "mine.xml", tmp_path / "other"
+
+    def read(path):
+        with mjcf.one_line(xml, "a part: "):
+            path.read_text()
+
+    assert refused(read, xml) == f"{xml}: a part: No such file or directory"
+    assert refused(read, other) == f"{xml}: a part: {other}: No such file or directory"
+
+
+def test_a_comment_that_is_no_xml_to_all_is_no_fault(tmp_path):
+    """MuJoCo reads it, and writes it again."""
+    path = tmp_path / "mine.xml"
+    text = re.sub(r"(<mujoco[^>]*>)", r"\1<!-- Licence: MIT -- mine -->", TEXT)
+    path.write_text(text.replace('name="track"', 'name="other"'))
+    assert mjcf.check_alone(robot.load_xml(path).alone) is None
+
+
+def test_a_name_that_is_no_xml_to_all_is_an_error(tmp_path):
+    path = tmp_path / "mine.xml"
+    path.write_text(TEXT.replace('name="track"', 'name="tr&#1;ack"'))
+    said = refused(robot.load_xml, path)
+    assert said == f"{path}: a name in it has a character that no XML has; rename it"
+
+
 # ---- one in a policy, which may read no file
 
 
