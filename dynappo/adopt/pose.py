@@ -8,7 +8,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from dynappo.description import complete, kinematics
+from dynappo.description import complete, home_pose, kinematics
 
 BENT = 0.85  # of the longest reach, from the leg's second joint to its end
 GRID = 41  # angles of each joint that are tried
@@ -31,10 +31,11 @@ def candidates(
     """
     if spec.keys:
         key = next((key for key in spec.keys if key.name == "home"), spec.keys[0])
+        home_pose.check_finite(key.name, np.array(key.qpos))
         yield from _knees(spec, model, np.array(key.qpos), "the file's keyframe")
         yield spec.copy(), []
     for scene in sorted(xml.parent.glob("*.xml")) if not spec.keys else []:
-        found = _of_scene(scene, model) if scene != xml else None
+        found = _of_scene(scene, model) if scene != xml and scene.is_file() else None
         if found is not None:
             what = f"the file has no keyframe; that of {scene.name} beside it"
             yield from _knees(spec, model, found, what)
@@ -71,16 +72,16 @@ def _of_scene(scene: Path, model: mujoco.MjModel) -> np.ndarray | None:
     """The first keyframe of a file beside the robot's that has the same joints."""
     try:
         spec = mujoco.MjSpec.from_file(str(scene))
-    except (ValueError, RuntimeError, mujoco.FatalError):
+        complete.drop_bodies_without_limbs(spec, [])
+        joints = [model.joint(i).name for i in range(model.njnt)]
+        names = [joint.name or f"joint{i}" for i, joint in enumerate(spec.joints)]  # source.read's
+        if names != joints or len(spec.bodies) < 2:
+            return None
+        keys = sorted(spec.keys, key=lambda key: key.name != "home")
+        poses = [np.array(key.qpos) for key in keys]
+    except (ValueError, RuntimeError, mujoco.FatalError):  # names may not be UTF-8
         return None
-    complete.drop_bodies_without_limbs(spec, [])
-    joints = [model.joint(i).name for i in range(model.njnt)]
-    names = [joint.name or f"joint{i}" for i, joint in enumerate(spec.joints)]  # as source.read's
-    if names != joints or len(spec.bodies) < 2:
-        return None
-    keys = sorted(spec.keys, key=lambda key: key.name != "home")
-    fits = [np.array(key.qpos) for key in keys if len(key.qpos) == model.nq]
-    return fits[0] if fits else None
+    return next((x for x in poses if len(x) == model.nq and np.isfinite(x).all()), None)
 
 
 def _bent(model: mujoco.MjModel) -> tuple[np.ndarray, int]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 import textwrap
 from xml.etree import ElementTree
 
@@ -89,7 +91,8 @@ def config(robot: robot_lib.Robot, source: Source, motors: Motors) -> str:
     mass = float(robot.mj_model.body_mass.sum())
     names, on_two = robot.joint_names, bipeds.is_biped(robot)
     base = "biped" if on_two else "default"
-    lines = [HEAD.format(name=robot.name, file=source.xml.name, base=base)]
+    file = re.sub(r'["\\]', "_", source.xml.name)  # it stands in a docstring
+    lines = [HEAD.format(name=robot.name, file=file, base=base)]
     lines.append("    # N m/rad, N m s/rad; rad for an action of 1\n")
     for field in ("kp", "kd", "action_scale"):
         lines.append(_field(field, kinds.patterns(names, getattr(motors, field))))
@@ -158,18 +161,20 @@ def _field(name: str, value: float | dict[str, float]) -> str:
     """A line, or a table with a line for each pattern."""
     if not isinstance(value, dict):
         return f"    task.{name} = {value!r}\n"
-    short = f"    task.{name} = {value!r}\n".replace("'", '"')
+    items = [f"{json.dumps(key, ensure_ascii=False)}: {number!r}" for key, number in value.items()]
+    short = f"    task.{name} = {{{', '.join(items)}}}\n"
     if len(short) <= 100:
         return short
-    rows = "".join(f'        "{pattern}": {number!r},\n' for pattern, number in value.items())
+    rows = "".join(f"        {item},\n" for item in items)
     return f"    task.{name} = {{\n{rows}    }}\n"
 
 
 def mjcf(spec: mujoco.MjSpec, robot_name: str, source: Source) -> str:
     """The text of a compiled spec, with a comment on its origin."""
     root = ElementTree.fromstring(text_lib.self_contained(spec))
+    file = re.sub("-(?=-)", "- ", source.xml.name)  # an XML comment has no "--"
     about = (
-        f"\n    {robot_name}, adopted from {source.xml.name} by `dynappo adopt`: README.md has source, "
+        f"\n    {robot_name}, adopted from {file} by `dynappo adopt`: README.md has source, "
         f"licence and"
         "\n    every assumption. Geom groups: 2 = looks only, 3 = contact with the floor.\n  "
     )

@@ -17,6 +17,7 @@ def keys(spec: mujoco.MjSpec, poses: list[np.ndarray], freed: bool, notes: list[
     `poses` are their `qpos`, without numbers of the base if that was not free before (`freed`).
     """
     size = sum(count for _, count in joints.sizes(spec.worldbody))
+    kept = []
     for key, pose in zip(list(spec.keys), poses, strict=True):
         if not len(pose):
             pass  # joints at rest, as MuJoCo writes a pose that is `qpos0`
@@ -29,12 +30,24 @@ def keys(spec: mujoco.MjSpec, poses: list[np.ndarray], freed: bool, notes: list[
                 )
             spec.delete(key)
             continue
+        kept.append((key, pose))
         if len(key.mpos):
             key.mpos, key.mquat = [], []  # of bodies of a scene
-    keys = list(spec.keys)
-    if keys and all(key.name != "home" for key in keys):
-        notes.append(f"the home pose is the keyframe {keys[0].name or 'without a name'}")
-        keys[0].name = "home"
+    if not kept:
+        return
+    key, pose = next((one for one in kept if one[0].name == "home"), kept[0])
+    check_finite(key.name, pose)
+    if key.name != "home":
+        notes.append(f"the home pose is the keyframe {key.name or 'without a name'}")
+        key.name = "home"
+
+
+def check_finite(name: str, pose: np.ndarray) -> None:
+    """ValueError if a keyframe has a number with which no robot stands anywhere."""
+    if not np.isfinite(pose).all():
+        raise ValueError(
+            f"the keyframe {name or 'without a name'} has a number that is not finite; correct it"
+        )
 
 
 def pose(spec: mujoco.MjSpec, model: mujoco.MjModel, notes: list[str]) -> bool:

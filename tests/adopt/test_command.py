@@ -3,6 +3,7 @@
 import hashlib
 import os
 import re
+import warnings
 from functools import partial
 from pathlib import Path
 
@@ -400,6 +401,36 @@ def test_a_licence_is_found_up_to_the_package_or_in_the_file(tmp_path):
         "<mujoco><!-- x, adopted by `dynappo adopt`: README.md has the licence --></mujoco>"
     )
     assert source.licence(file) == ("", "")
+
+
+@pytest.mark.parametrize("file", ["my--robot.xml", "my---robot.xml", 'tri"""q.xml', "b\\x.urdf"])
+def test_any_file_name_and_joint_name_can_be_written(file, tmp_path, monkeypatch):
+    """In a comment of XML, a docstring and the patterns of a config."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(command, "look", lambda *_: [])
+    text = published.urdf() if file.endswith("urdf") else published.mjcf()
+    text = re.sub(r"(F[LR])_(hip|thigh|calf)_joint", r"\1-\2&quot;joint", text)
+    published.write(tmp_path)
+    Path(file).write_text(text)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert run(file, "--name=mine") == 0
+        compile(Path("configs/mine.py").read_text(), "mine.py", "exec")
+    task = motors.fitted(config_lib.load("configs/mine.py"), robot_lib.load("mine"))[0].task
+    assert len(np.unique(task.effort_limit)) == (1 if file.endswith("urdf") else 2)
+
+
+def test_what_is_no_scene_beside_the_robot_is_left_alone(tmp_path, monkeypatch, capsys):
+    """Names that are not UTF-8; a pipe, which nobody writes to; a keyframe that is no number."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(command, "look", lambda *_: [])
+    published.write(tmp_path, published.mjcf(home=""))
+    joint = published.mjcf().replace("FR_hip_joint", "h\xfcfte")
+    Path("latin1.xml").write_text(joint, encoding="latin1")
+    Path("nan.xml").write_text(published.mjcf().replace("0 0 0.3 1", "0 0 nan 1"))
+    os.mkfifo("pipe.xml")
+    assert run("toy.xml") == 0
+    assert "home: no keyframe; 4 legs bent" in capsys.readouterr().out
 
 
 def test_where_a_file_is_from_is_read_from_its_checkout(tmp_path):
