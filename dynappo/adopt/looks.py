@@ -20,6 +20,12 @@ from dynappo.description.rotation import matrix, quaternion
 LOOKS, SHAPES, DRAWN = 2, 3, 0  # groups
 SUMS = "SHA256SUMS"  # which files are from here; `sha256sum -c` reads it
 MESH = mujoco.mjtGeom.mjGEOM_MESH
+SHOWN = [  # height fields and the like are left out
+    getattr(mujoco.mjtGeom, f"mjGEOM_{kind}")
+    for kind in "MESH SPHERE CAPSULE ELLIPSOID CYLINDER BOX".split()
+]
+# what a mesh without a file has
+INLINE = "uservert usernormal usertexcoord userface userfacenormal userfacetexcoord".split()
 
 
 def draw(spec: mujoco.MjSpec, source: Source, base: str, assets: Path) -> tuple[int, int]:
@@ -88,7 +94,7 @@ def _digest(path: Path) -> str:
 
 def _drawn(geom) -> bool:
     """Whether viewers show a geom of the robot."""
-    return geom.parent.name != "world" and geom.group <= LOOKS
+    return geom.parent.name != "world" and geom.group <= LOOKS and geom.type in SHOWN
 
 
 def _at_zero(model, like=None) -> mujoco.MjData:
@@ -149,7 +155,10 @@ class _Copied:
             new = self.spec.add_mesh(name=f"look_{name}", scale=old.scale)
             new.refpos, new.refquat, new.inertia = old.refpos, old.refquat, old.inertia
             new.smoothnormal = old.smoothnormal
-            new.file = self._file(self.theirs.meshdir, old.file)
+            if old.file:
+                new.file = self._file(self.theirs.meshdir, old.file)
+            for field in () if old.file else INLINE:
+                setattr(new, field, getattr(old, field))
             self.named[name] = new.name
         return self.named[name]
 

@@ -87,7 +87,11 @@ def read(xml: Path, notes: list[str] | None = None) -> Source:
     if not xml.is_file():
         raise ConfigError(f"{xml}: there is no such file; name an MJCF or a URDF")
     with mjcf.one_line(xml):
-        text = xml.read_text(encoding="utf-8")
+        try:
+            text = xml.read_text(encoding="utf-8")
+        except UnicodeDecodeError:
+            expected = "expected an MJCF or a URDF, saved in UTF-8"
+            raise ValueError(f"it is not text in UTF-8; {expected}") from None
         try:
             root = ElementTree.fromstring(text)
         except ElementTree.ParseError as error:
@@ -116,13 +120,17 @@ def _mjcf(xml: Path, root: ElementTree.Element, notes: list[str], said: list[str
         for kind, things in (("joint", spec.joints), ("link", spec.bodies[1:])):
             for i, thing in enumerate(things):
                 thing.name = thing.name or f"{kind}{i}"
-        return spec, _drop_meshes(spec, Path(spec.modelfiledir or xml.parent) / spec.meshdir)
+        folder = Path(spec.modelfiledir or xml.parent)
+        pictures = _drop_pictures(spec, folder / spec.texturedir)
+        return spec, _drop_meshes(spec, folder / spec.meshdir), pictures
 
     def again():
         return without_lost(told)[0]
 
     complete.drop_bodies_without_limbs(fresh(), notes)
-    spec, lost = without_lost(fresh)
+    spec, lost, pictures = without_lost(fresh)
+    if pictures:
+        notes.append(f"pictures are left out, not found: {mjcf.listed(pictures)}")
     told = fresh if more else faults.placed(xml, fresh)
     said += [*more, *_lost(lost, notes)]
     return _source(xml, again, spec, said, notes, velocity={}, lost=len(lost))
@@ -194,6 +202,7 @@ def _urdf(xml: Path, root: ElementTree.Element, notes: list[str], said: list[str
     for joint in root.iter("joint"):
         for limit in joint.iter("limit"):
             velocity[joint.get("name", "")] = _number(limit, "velocity") or math.nan
+            said = [*said, *_mend_range(joint, limit)]
     compilers = [*root.findall("mujoco/compiler")]
     folders = [xml.parent / one.get("meshdir", ".") for one in compilers] + [xml.parent]
     for link in root.iter("link"):
@@ -213,7 +222,9 @@ def _urdf(xml: Path, root: ElementTree.Element, notes: list[str], said: list[str
                 if why:
                     elsewhere.append(f"{found.parent.name}/{found.name}")
     if elsewhere:
-        notes.append(f"meshes are taken from a folder beside the URDF: {_listed(elsewhere)}")
+        notes.append(
+            f"meshes are taken from a folder beside the URDF: {mjcf.listed(sorted(elsewhere))}"
+        )
     said = [*said, *_lost(lost, notes), *_mend_inertias(root, notes)]
     for other in root.findall("mujoco"):
         root.remove(other)
@@ -241,6 +252,21 @@ def _urdf(xml: Path, root: ElementTree.Element, notes: list[str], said: list[str
     for name in freed:
         notes.append(f"the URDF fixes nothing to the world: {name} has a free joint")
     return _source(xml, fresh, spec, said, notes, velocity=velocity, lost=len(lost))
+
+
+def _mend_range(joint: ElementTree.Element, limit: ElementTree.Element) -> list[str]:
+    """What is wrong with the limits of a URDF's hinge, in words: MuJoCo would take it for one without any."""
+    ends = [limit.get(name) for name in ("lower", "upper")]
+    if joint.get("type") != "revolute" or None in ends:
+        return []
+    lower, upper = (_number(limit, name) for name in ("lower", "upper"))
+    if lower <= upper:  # not of nan
+        return []
+    limit.attrib.update(lower="-1", upper="1")  # to go on
+    return [
+        f"the limits of {joint.get('name', 'a joint')} are {ends[0]} to {ends[1]}, expected numbers, lower "
+        "below upper"
+    ]
 
 
 def _mend_inertias(root: ElementTree.Element, notes: list[str]) -> list[str]:
@@ -344,29 +370,39 @@ def _drop_meshes(spec: mujoco.MjSpec, folder: Path) -> list[Lost]:
     return lost
 
 
+def _drop_pictures(spec: mujoco.MjSpec, folder: Path) -> list[str]:
+    """Delete the textures whose files are not there, which are returned, also from the materials."""
+    lost = []
+    for texture in list(spec.textures):
+        files = [name for name in (texture.file, *texture.cubefiles) if name]
+        gone = [Path(name).name for name in files if not (folder / name).is_file()]
+        if not gone:
+            continue
+        lost += gone
+        called = texture.name or Path(texture.file).stem
+        for material in spec.materials:
+            material.textures = ["" if name == called else name for name in material.textures]
+        spec.delete(texture)
+    return lost
+
+
 def _lost(lost: list[Lost], notes: list[str]) -> list[str]:
     """A line for each way in which looks are lost; in words, what shapes that collide are: a robot that lies
     on that link, be it a limb or the base, would not have fallen."""
     said = []
     for why in UNUSABLE:
-        if files := [one.file for one in lost if one.why == why and not one.collides]:
-            notes.append(f"looks are left out, their meshes are {why}: {_listed(files)}")
+        if files := sorted(one.file for one in lost if one.why == why and not one.collides):
+            notes.append(f"looks are left out, their meshes are {why}: {mjcf.listed(files)}")
     for why, remedy in UNUSABLE.items():
         shapes = [one for one in lost if one.why == why and one.collides]
         if shapes:
+            links = mjcf.listed(sorted(one.link for one in shapes))
+            files = mjcf.listed(sorted(one.file for one in shapes))
             said.append(
-                f"shapes that collide are missing on {_listed([one.link for one in shapes])}: their meshes "
-                f"are {why} ({_listed([one.file for one in shapes])}); {remedy}, or give the links boxes or "
-                "capsules"
+                f"shapes that collide are missing on {links}: their meshes are {why} ({files}); {remedy}, or "
+                "give the links boxes or capsules"
             )
     return said
-
-
-def _listed(names: list[str], most: int = 4) -> str:
-    """A few names, and how many more there are."""
-    some = sorted(set(names))
-    more = f" and {len(some) - most} more" if len(some) > most else ""
-    return ", ".join(some[:most]) + more
 
 
 def published(source: Source, joints: tuple[str, ...]) -> tuple[Published, list[str]]:
@@ -400,12 +436,12 @@ def published(source: Source, joints: tuple[str, ...]) -> tuple[Published, list[
     notes = []
     several = [name for name in joints if len(on.get(model.joint(name).id, [])) > 1]
     if several:
-        notes.append(f"motors: several actuators add up at {_listed(several)}")
+        notes.append(f"motors: several actuators add up at {mjcf.listed(several)}")
     idle = [name for name in joints if model.joint(name).id not in on]
     if idle and on:
         notes.append(
-            f"motors: nothing in the file drives {_listed(idle)}; all joints have a motor here, with effort "
-            "and gains as the others"
+            f"motors: nothing in the file drives {mjcf.listed(idle)}; all joints have a motor here, with "
+            "effort and gains as the others"
         )
     return Published(kp, kd, effort, velocity, servo), notes
 

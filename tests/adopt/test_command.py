@@ -334,6 +334,20 @@ def test_a_mass_that_is_no_number_is_one_line(case, tmp_path):
         assert MASSES[case] in refused(source.read, include)
 
 
+@pytest.mark.parametrize(("lower", "upper"), [("2.8", "-2.8"), ("nan", "2.8"), ("-2.8", "x")])
+def test_limits_of_a_urdf_that_limit_nothing_are_one_line(lower, upper, tmp_path):
+    """MuJoCo would turn the joint without end."""
+    before, joint, after = published.urdf().partition('name="FL_calf_joint"')
+    old = 'lower="-2.8" upper="2.8"'
+    assert joint and old in after
+    path = tmp_path / "toy.urdf"
+    path.write_text(before + joint + after.replace(old, f'lower="{lower}" upper="{upper}"', 1))
+    expected = (
+        f"the limits of FL_calf_joint are {lower} to {upper}, expected numbers, lower below upper"
+    )
+    assert refused(source.read, path) == f"{path}: {expected}"
+
+
 @pytest.mark.parametrize("kind", ["toy.xml", "toy.urdf"])
 def test_a_robot_of_next_to_no_mass_is_one_line(kind, tmp_path, monkeypatch, capsys):
     """Whose limits would all be rounded to nothing."""
@@ -457,6 +471,65 @@ def test_looks_that_are_not_there_are_left_out(tmp_path):
     assert read.notes == ("looks are left out, their meshes are not found: cube.obj",)
     assert read.lost == 5
     assert "there is no such file" in refused(source.read, tmp_path / "no.urdf")
+
+
+CUBE_FILES = " ".join(f'file{side}="gone.png"' for side in "right left up down front back".split())
+
+
+@pytest.mark.parametrize("files", ['type="2d" file="gone.png"', f'type="cube" {CUBE_FILES}'])
+def test_pictures_that_are_not_there_are_left_out(files, tmp_path):
+    file = published.write(tmp_path)
+    name = "gone" if 'file="' in files else "t"  # by its file, where it has none
+    named = f'name="{name}"' * (name == "t")
+    dark = f'<texture {named} {files}/><material texture="{name}" name="dark"'
+    file.write_text(published.mjcf().replace('<material name="dark"', dark))
+    read = source.read(file)
+    assert read.notes == ("pictures are left out, not found: gone.png",) and read.lost == 0
+    assert read.model.ntex == 0 and read.model.mat_rgba[0] == pytest.approx([0.2, 0.2, 0.3, 1])
+
+
+LOOKS = {  # an asset, a look of it: whether it is kept
+    '<mesh name="a" vertex="0 0 0 .1 0 0 0 .2 0 0 0 .3"/>': ('type="mesh" mesh="a"', True),
+    '<mesh name="a" builtin="sphere" params="2" scale=".1 .2 .3"/>': ('type="mesh" mesh="a"', True),
+    '<hfield name="a" nrow="2" ncol="2" size="1 1 .1 .1" elevation="0 1 2 3"/>': (
+        'type="hfield" hfield="a"',
+        False,
+    ),
+}
+
+
+@pytest.mark.parametrize("asset", LOOKS)
+def test_looks_without_a_file_are_copied_and_those_of_no_shape_left_out(
+    asset, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(command, "look", lambda *_: [])
+    shape, kept = LOOKS[asset]
+    look = f'<geom {shape} contype="0" conaffinity="0" group="2" pos="0.1 0.2 0.3" quat="0.9 0.1 0.2 0.3"/>'
+    text = published.mjcf().replace("<mesh file", asset + "<mesh file")
+    published.write(tmp_path, re.sub(r'<geom class="look" mesh="cube" pos="0.02.*?/>', look, text))
+    assert run("toy.xml") == 0
+    clouds = []
+    for file in ("toy.xml", "robots/toy/toy.xml"):
+        model = mujoco.MjModel.from_xml_path(file)
+        data = mujoco.MjData(model)
+        data.qpos[:7] = [0, 0, 0, 1, 0, 0, 0]
+        mujoco.mj_kinematics(model, data)
+        trunk = model.body("trunk").id
+        drawn = [
+            g
+            for g in range(model.ngeom)
+            if model.geom_group[g] == 2 and model.geom_bodyid[g] == trunk
+        ]
+        if file.startswith("robots"):
+            assert len(drawn) == kept
+        for geom in drawn if kept else ():
+            mesh = model.geom_dataid[geom]
+            start, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+            points = model.mesh_vert[start : start + count] @ data.geom_xmat[geom].reshape(3, 3).T
+            clouds.append(points + data.geom_xpos[geom] - data.xpos[trunk])
+    if kept:
+        np.testing.assert_allclose(clouds[1], clouds[0], atol=1e-5)
 
 
 def test_a_limb_without_its_colliding_meshes_is_refused(tmp_path, monkeypatch, capsys):
