@@ -98,7 +98,10 @@ def check_free(name: str, force: bool) -> tuple[Path, Path]:
     """`(folder, config file)` that will be written, in the working directory; ConfigError if they are
     taken."""
     folder, config = Path("robots") / name, Path("configs") / f"{name}.py"
-    if name in ("default", "biped") or files.find("robots", f"{name}/{name}.xml", own=True):
+    robot, _, kind = name.rpartition("_")
+    theirs = ("configs", f"{name}.py"), ("robots", f"{name}/{name}.xml")
+    theirs += (("robots", f"{robot}/{kind}.npz"),) * (kind in files.MORE)
+    if any(files.find(*path, own=True) for path in theirs):
         raise ConfigError(f"--name={name}: dynappo has that itself; take another name")
     for path in (folder, config):
         if path.exists() and not force:
@@ -310,13 +313,13 @@ def check_trainable(config, robot: robot_lib.Robot, xml: Path) -> str:
     gait.check(config.task.gait_frequency, robot.name, len(robot.foot_names))
     reward_sum.terms_of(config.task)
     if config.ppo.symmetry:
+        hint = "correct places, axes and default angles of its joints: left and right must be alike"
         try:
+            partners.joints(robot)
+            hint = "make these numbers alike in the file"
             partners.check_motors(config.task, robot)
         except ConfigError as error:
-            raise ConfigError(
-                f"{xml}: {error}; correct places, axes and default angles of its joints: left and right must "
-                "be alike"
-            ) from None
+            raise ConfigError(f"{xml}: {error}; {hint}") from None
     robot = robot._replace(xml=xml)  # errors name the file that can be edited
     warp = has_gpu() and importlib.util.find_spec("warp")
     for impl in ("warp", "jax") if warp else ("jax",) if has_gpu() else ("jax", "c"):

@@ -211,6 +211,24 @@ MISTAKES = {  # arguments, what the line must say
         "computed.xacro: it is a xacro; make a URDF of it first: xacro FILE > ",
     ),
     "biped": (["toy.xml", "--name=biped"], "dynappo has that itself"),
+    **{
+        f"of {name}": (["toy.xml", f"--name={name}"], f"--name={name}: dynappo has that itself")
+        for name in ("brax", "playground", "go1_deploy", "go1_rough")
+    },
+    "a picture": (
+        ["map.png"],
+        "map.png: it is not text in UTF-8; expected an MJCF or a URDF, saved in",
+    ),
+    "UTF-16": (["wide.xml"], "wide.xml: it is not text in UTF-8"),
+    "no number": (
+        ["nan.xml"],
+        "nan.xml: the keyframe home has a number that is not finite; correct it",
+    ),
+    "unlike motors": (
+        ["unlike.xml"],
+        "effort_limit is 31 at FR_calf_joint and 35.5 at FL_calf_joint, expected the same left and right "
+        "where ppo.symmetry is True; make these numbers alike in the file",
+    ),
     "a flag": (["toy.xml", "--nam=x"], "--nam=x: no such flag"),
 }
 
@@ -224,6 +242,11 @@ def test_a_mistake_is_one_line_and_leaves_nothing(name, tmp_path, monkeypatch, c
         Path(f"{file}.xml").write_text(text)
     Path("cut.xacro").write_text("<robot>")
     Path("computed.xacro").write_text(COMPUTED)
+    Path("map.png").write_bytes(b"\x89PNG\r\n\x1a\n\xff")
+    Path("wide.xml").write_text(published.mjcf(), encoding="utf-16")
+    Path("nan.xml").write_text(published.mjcf().replace("0 0 0.3 1", "0 0 nan 1"))
+    calf = '<position class="calf" name="FR_calf"'
+    Path("unlike.xml").write_text(published.mjcf().replace(calf, calf + ' forcerange="-31 31"'))
     before = sorted(tmp_path.rglob("*"))
     arguments, expected = MISTAKES[name]
     assert expected in mistake(command.main, arguments, capsys)
