@@ -17,6 +17,7 @@ from dynappo.terrain.height_map import HeightMap
 SUFFIXES = (".npy", ".png")
 HIGHEST = 100.0  # m, of a height above or below 0
 MOST = 10**8  # points
+SIGNATURE, GREY = b"\x89PNG\r\n\x1a\n", 0  # of a PNG: how it begins, and its kind of colours
 
 
 class BadMap(ValueError):
@@ -94,6 +95,7 @@ def _heights(file: Path, data: bytes, level: float) -> np.ndarray:
         raise BadMap(
             f"{file}: a picture needs Pillow: pip install pillow; or save a .npy"
         ) from None
+    _check_depth(file, data)
     try:
         picture = Image.open(io.BytesIO(data))
         if picture.mode.startswith("I"):  # 16 bits
@@ -111,3 +113,17 @@ def _heights(file: Path, data: bytes, level: float) -> np.ndarray:
             "each; save it without an alpha channel"
         )
     return level * red.astype(float)
+
+
+def _check_depth(file: Path, data: bytes) -> None:
+    """BadMap for a PNG whose levels Pillow does not give as they are: it cuts or stretches them to 8 bits."""
+    if len(data) < 26 or data[:8] != SIGNATURE or data[12:16] != b"IHDR":
+        raise BadMap(f"{file}: expected a picture in the format PNG")
+    depth, kind = data[24], data[25]
+    if depth == 16 and kind != GREY:
+        raise BadMap(
+            f"{file}: a picture of 16 bits with colours or an alpha channel, expected grey alone; save it "
+            "without them"
+        )
+    if depth < 8 and kind == GREY:
+        raise BadMap(f"{file}: a picture of {depth} bits, expected 8 or 16; save it with more")

@@ -2,6 +2,8 @@
 
 import os
 import re
+import struct
+import zlib
 
 import jax.numpy as jnp
 import numpy as np
@@ -66,6 +68,52 @@ def test_a_picture_with_colours_is_no_ground(tmp_path):
     path = picture(tmp_path / "seen.png", colours)
     with pytest.raises(map_file.BadMap, match="seen.png: a picture with colours, expected levels"):
         map_file.load(path, 0.01, 0.1)
+
+
+def png(path, depth, kind, bits):
+    """A black PNG of 20 x 20 points, with `bits` each; Pillow writes few kinds."""
+
+    def chunk(name, data):
+        check = struct.pack(">I", zlib.crc32(name + data))
+        return struct.pack(">I", len(data)) + name + data + check
+
+    head = chunk(b"IHDR", struct.pack(">IIBBBBB", 20, 20, depth, kind, 0, 0, 0))
+    rows = zlib.compress(bytes(20 * (1 + -(-20 * bits // 8))))
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + head + chunk(b"IDAT", rows) + chunk(b"IEND", b""))
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("depth", "kind", "bits", "says"),
+    [
+        (
+            16,
+            2,
+            48,
+            "of 16 bits with colours or an alpha channel, expected grey alone; save it without",
+        ),
+        (16, 4, 32, "of 16 bits with colours or an alpha channel"),
+        (16, 6, 64, "of 16 bits with colours or an alpha channel"),
+        (1, 0, 1, "of 1 bits, expected 8 or 16"),
+        (2, 0, 2, "of 2 bits, expected 8 or 16"),
+        (4, 0, 4, "of 4 bits, expected 8 or 16"),
+    ],
+)
+def test_a_picture_whose_levels_would_be_others_is_refused(tmp_path, depth, kind, bits, says):
+    """Pillow cuts or stretches these to 8 bits without a word."""
+    pytest.importorskip("PIL")
+    for good in ((8, 0, 8), (16, 0, 16)):
+        assert map_file.load(png(tmp_path / "good.png", *good), 0.01, 0.1).heights.shape == (20, 20)
+    with pytest.raises(map_file.BadMap, match=f"a.png: a picture {says}"):
+        map_file.load(png(tmp_path / "a.png", depth, kind, bits), 0.01, 0.1)
+
+
+def test_a_picture_of_another_format_is_refused(tmp_path):
+    image = pytest.importorskip("PIL.Image")
+    for name in ("TIFF", "JPEG"):
+        image.fromarray(np.zeros((20, 20), np.uint8)).save(tmp_path / "a.png", name)
+        with pytest.raises(map_file.BadMap, match="expected a picture in the format PNG"):
+            map_file.load(str(tmp_path / "a.png"), 0.01, 0.1)
 
 
 @pytest.mark.parametrize(
