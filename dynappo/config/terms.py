@@ -195,6 +195,8 @@ def known(
     They are `start` where an episode begins. Then the function gives the next ones: a parameter of its own
     name is what they were.
     """
+    if not isinstance(start, tuple | list) or not start:
+        raise ConfigError(f"start is {start!r}, expected a tuple of finite numbers, such as (0.0,)")
     start = tuple(_number("start", number) for number in start)
     seen = Observation(len(start), unit, None, signs, order, scale, shown, start)
     return _marked(_checked(seen), numbers)
@@ -203,7 +205,7 @@ def known(
 @_in_parentheses
 def termination(*, timeout: bool = False, numbers: Mapping[str, float] | None = None):
     """An end of an episode: True where it ends, as a fall does; with `timeout` as the time does."""
-    return _marked(Termination(timeout), numbers)
+    return _marked(Termination(_bool("timeout", timeout)), numbers)
 
 
 @_in_parentheses
@@ -244,13 +246,21 @@ def _number(name: str, value: Any, none: bool = False) -> Any:
     return float(value)
 
 
+def _bool(name: str, value: Any) -> bool:
+    if type(value) is not bool:
+        raise ConfigError(f"{name} is {value!r}, expected True or False")
+    return value
+
+
 def _checked(seen: Observation) -> Observation:
     size = seen.size
     if size is not None and (type(size) is not int or not 0 < size <= 10_000):
         raise ConfigError(f"size is {size!r}, expected an integer above 0, or None: one a joint")
     if seen.noise is not None:
         _number("noise", seen.noise)
-    _number("scale", seen.scale)
+    if not isinstance(seen.unit, str) or len(seen.unit) > CONTENT:
+        raise ConfigError(f"unit is {seen.unit!r}, expected a short text, such as 'm/s'")
+    _bool("shown", seen.shown)
     for name, given in (("signs", seen.signs), ("order", seen.order)):
         if given is None:
             continue
@@ -263,7 +273,10 @@ def _checked(seen: Observation) -> Observation:
             text = f"0 to {(size or 0) - 1}, in which each number and its image change places"
         if not fits:
             raise ConfigError(f"{name} is {given!r}, expected a tuple of {text}")
-    return seen
+    scale = _number("scale", seen.scale)
+    if abs(scale) >= 1e9:
+        raise ConfigError(f"scale is {scale:g}, expected a number between -1e9 and 1e9")
+    return seen._replace(scale=scale)
 
 
 # ---- a file

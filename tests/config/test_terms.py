@@ -128,6 +128,15 @@ MISTAKES = {  # of a file -> a part of the line
     WORK.replace("0.5", "'half'"): "share is 'half', expected a finite number",
     "@terms.curriculum(start=0.1, evaluated='x')\ndef f(f): return f\n": "evaluated is 'x', expected",
     "@terms.known(start=(float('nan'),))\ndef f(f): return f\n": "start is nan, expected a finite number",
+    "@terms.known(start=0.0)\ndef f(f): return f\n": "start is 0.0, expected a tuple of finite numbers",
+    "@terms.known(start=())\ndef f(f): return f\n": "start is (), expected a tuple of finite numbers",
+    "@terms.termination(timeout='no')\ndef f(height): return height < 0\n": "timeout is 'no', expected True",
+    "@terms.termination(timeout=None)\ndef f(height): return height < 0\n": "timeout is None, expected True",
+    SEEN.replace("size=1", "size=1, shown='no'"): "shown is 'no', expected True or False",
+    SEEN.replace("size=1", "size=1, unit=None"): "unit is None, expected a short text",
+    SEEN.replace("size=1", "size=1, unit=b'm'"): "unit is b'm', expected a short text",
+    SEEN.replace("size=1", "size=1, scale='2'"): "scale is '2', expected a finite number",
+    SEEN.replace("size=1", "size=1, scale=1e9"): "scale is 1e+09, expected a number between -1e9 and 1e9",
     SEEN.replace("size=1", "size=0"): "size is 0, expected an integer above 0",
     SEEN.replace("(1,)", "(1, -1)"): "signs is (1, -1), expected a tuple of 1 times 1 or -1",
     SEEN.replace("(1,)", "(1,), order=(1,)"): "order is (1,), expected a tuple of 0 to 0",
@@ -163,6 +172,12 @@ def test_other_functions_may_share_a_name_and_a_term_may_ask_for_the_number_of_a
     assert terms.read(write(helpers + WORK.replace(", share", "") + asks)).rewards.keys() == {
         "work"
     }
+
+
+def test_a_scale_may_be_an_integer():
+    given = f"--config.task.terms={write(SEEN.replace('size=1', 'size=1, scale=2'))}"
+    (seen,) = observe.own(flags.load("go1:laptop", [given]).task.terms_about)
+    assert seen.quantity.scale == 2.0
 
 
 def test_a_file_that_is_not_there_is_one_line(capsys):
