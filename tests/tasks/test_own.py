@@ -326,6 +326,7 @@ WRONG = {  # what follows the import -> a part of the line
     "@terms.termination()\ndef f(qpos): return qpos.at[0].get() > 1": "'at'; play calls it with NumPy arrays",
     "@terms.observation(size=1)\ndef f(qpos): return qpos[:1]": "has no signs, .* ppo.symmetry is True",
     "@terms.reward(weight=1.0)\ndef energy(torque): return 0.0": "energy .* a name that dynappo uses",
+    "@terms.reward(weight=1.0)\ndef fall(torque): return 0.0": "fall .* a name that dynappo uses",
     "@terms.reward(weight=1.0)\ndef gravity(torque): return 0.0": "gravity .* a name that dynappo uses",
     "@terms.reward(weight=1.0, numbers={'kp': 1.0})\ndef f(kp): return kp": "number kp .* dynappo uses",
     "@terms.reward(weight=1.0, numbers={'f': 1.0})\ndef f(f): return f": "number f .* a term has already",

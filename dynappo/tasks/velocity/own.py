@@ -103,7 +103,8 @@ def check(task, symmetry: bool = False) -> Terms:
     `symmetry`, for an observation without a mirror image."""
     found = terms.of(task)
     for term in found.every():
-        _check_name(task, term.name, f"the term {term.name} of {term.file}")
+        paid = isinstance(term.how, terms.Reward)
+        _check_name(task, term.name, f"the term {term.name} of {term.file}", reward=paid)
         for wrong in sorted(set(terms.parameters(term.function)) - _names(task, found, term)):
             near = difflib.get_close_matches(wrong, _names(task, found, term), 1)
             raise ConfigError(
@@ -135,9 +136,12 @@ def _kind(term: Term) -> str:
     return f"{'an' if name[0] == 'o' else 'a'} {name}"
 
 
-def _check_name(task, name: str, what: str, others: Iterable[str] = ()) -> None:
+def _check_name(
+    task, name: str, what: str, others: Iterable[str] = (), reward: bool = False
+) -> None:
     used = {*observe.QUANTITIES, *rewards.Feet._fields, *rewards.Measured._fields, *Placed._fields}
     used |= {*Ended._fields, *reward_sum.in_rewards(), *task, "action", "draw", "dt"}
+    used |= {"fall"} if reward else set()  # reward_fall is the column of task.fall_reward
     if name in used or name in others:
         by = "a term has" if name in others else "dynappo uses"
         raise ConfigError(f"{what} has a name that {by} already; expected another one")
