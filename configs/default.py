@@ -311,7 +311,7 @@ class Tiles(NamedTuple):
     boxes: Rise = (0.05, 0.20)  # m, up and down
     box_width: Annotated[float, Between(0.01, 100)] = 0.45  # m
     random: Rise = (0.02, 0.10)  # m, lowest and highest point, in every row
-    random_step: Annotated[float, Between(1e-4, 10)] = 0.02  # m, between two heights
+    random_step: Annotated[float, Between(1e-4, 10)] = 0.02  # m, between two heights; divides the range
     slope: Rise = (0.0, 0.4)  # rise over run
     platform: NotNegative = 2.0  # m, in the middle of boxes and slopes
     margin: NotNegative = 0.25  # m, flat, around boxes, random ground and slopes

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from ml_collections import config_dict
@@ -166,9 +167,17 @@ def check_tiles(tiles) -> None:
         count = tiles[name] / tiles.cell
         text = f"a multiple of task.tiles.cell = {tiles.cell:g}"
         expect(abs(count - round(count)) < 1e-6, f"task.tiles.{name}", tiles[name], text)
+    low, high = tiles.random
+    count = (high - low) / tiles.random_step
+    text = f"one that divides what is between task.tiles.random = ({low:g}, {high:g})"
+    expect(abs(count - round(count)) < 1e-6, "task.tiles.random_step", tiles.random_step, text)
     expect(sum(tiles.shares) > 0, "task.tiles.shares", tiles.shares, "one or more above 0")
-    count = tiles.rows * tiles.columns * round(tiles.size / tiles.cell) ** 2
-    text = "at most 100 million cells: task.tiles.rows x columns x (size / cell)^2"
+    sides = (n * tiles.size + 2 * tiles.border for n in (tiles.rows, tiles.columns))
+    count = math.prod(round(side / tiles.cell) for side in sides)
+    text = (
+        "at most 100 million cells: those of task.tiles.rows x columns tiles of its size, with its border "
+        f"around all, are {count / 1e6:.0f}"
+    )
     expect(count <= 10**8, "task.tiles.cell", tiles.cell, text)
     for name, edge in (("stairs_platform", "stairs_border"), ("platform", "margin")):
         room = tiles.size - 2 * tiles[edge]

@@ -133,6 +133,27 @@ def test_isaac_labs_columns_and_rows_are_the_defaults():
         (dict(box_width=1e-9), "task.tiles.box_width is 1e-09, expected 0.01 to 100"),
         (dict(slope=(0.0, 50.0)), "task.tiles.slope is .*, expected 0 to 10"),
         (dict(stairs=(0.2, 0.1)), r"task.tiles.stairs is .*, expected \(low, high\)"),
+        (
+            dict(random_step=0.03),
+            r"random_step is 0.03, expected one that divides .* \(0.02, 0.1\)",
+        ),
+        (
+            dict(random=(0.0, 0.05), random_step=10.0),
+            "task.tiles.random_step is 10.0, expected one that",
+        ),
+        (
+            dict(
+                cell=0.01,
+                rows=1,
+                columns=1,
+                size=2.0,
+                border=100.0,
+                stairs_border=0.0,
+                stairs_platform=1.0,
+                platform=1.0,
+            ),
+            "task.tiles.cell is 0.01, expected at most 100 million cells: .* its border around all, are 408",
+        ),
         (dict(cell=0.01, rows=100, columns=100), "task.tiles.cell is 0.01, expected at most 100 "),
     ],
 )
