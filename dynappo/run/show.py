@@ -28,6 +28,8 @@ COMPILING = {
 }
 # what only an adaptive learning rate reads
 OF_ADAPTIVE = ("ppo.desired_kl", "ppo.late_kl", "ppo.min_learning_rate", "ppo.max_learning_rate")
+# what only a tail reads, beside the group `model`
+OF_TAIL = ("rollout.imagined", "schedule.rounds", "schedule.anchors", "schedule.new_commands")
 # fields of a run that shows within minutes whether all works (docs/environment.md)
 SMALL = "--config.rollout.num_envs=64 --config.run.num_iterations=20"
 PARTS = 10  # lines of a run where there is no terminal
@@ -62,16 +64,26 @@ def describe(config) -> str:
 
 def of_little_effect(config, names: Iterable[str]) -> str:
     """A line on fields among `names` that decide little or nothing as `config` is; "" if there are none."""
+    names, notes = list(names), []
+    of_tail = [name for name in names if name in OF_TAIL or name.startswith("model.")]
+    if of_tail and not schedule.uses_model(config):
+        does = "changes" if len(of_tail) == 1 else "change"
+        notes.append(
+            f"no row is written by the model, so {', '.join(of_tail)} {does} nothing; train a variant "
+            "with a tail, such as best, or set schedule.end_steps"
+        )
     if config.ppo.adaptive and "ppo.learning_rate" in names:
-        return (
+        notes.append(
             "ppo.learning_rate decides little: the KL changes it at every minibatch (ppo.adaptive is True), "
             "and after an iteration or two it is what ppo.desired_kl makes of it; set or sweep that, or "
             "--config.ppo.adaptive=False too"
         )
     idle = [] if config.ppo.adaptive else [name for name in names if name in OF_ADAPTIVE]
-    if not idle:
-        return ""
-    return f"ppo.adaptive is False, so {', '.join(idle)} changes nothing; set ppo.learning_rate"
+    if idle:
+        notes.append(
+            f"ppo.adaptive is False, so {', '.join(idle)} changes nothing; set ppo.learning_rate"
+        )
+    return ". ".join(notes)
 
 
 def real_rows(config) -> str:

@@ -62,6 +62,22 @@ def test_a_learning_rate_that_the_kl_adapts_is_said_to_decide_little():
     assert not show.of_little_effect(adaptive, kl) and not show.of_little_effect(fixed, rate)
 
 
+def test_fields_of_a_tail_are_said_to_change_nothing_where_there_is_none():
+    """Those that the user has set, alone."""
+    plain, tails = config("configs/go1.py:ppo16"), config()
+    given = ("rollout.imagined", "model.memory", "schedule.rounds", "ppo.gamma")
+    said = "no row is written by the model, so rollout.imagined, model.memory, schedule.rounds change nothing"
+    assert show.of_little_effect(plain, given).startswith(said)
+    both = show.of_little_effect(plain, ("model.symmetry", "ppo.learning_rate"))
+    assert (
+        "so model.symmetry changes nothing" in both and ". ppo.learning_rate decides little" in both
+    )
+    assert not show.of_little_effect(tails, given)
+    assert not show.of_little_effect(plain, ()) and not show.of_little_effect(
+        plain, ["schedule.end_steps"]
+    )
+
+
 def test_the_progress_line_shows_return_length_error_std_and_pace():
     """The pace is of the last chunks; of seeds the mean; a dash before the first episode ends."""
     numbers = dict(episode_return=12.345, episode_length=987.6, velocity_error=0.234)
