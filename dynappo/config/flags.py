@@ -30,6 +30,23 @@ BAD_PATH = (
 )
 LONGEST = 600  # characters of a path
 LINE = 4000  # of a line: a robot's file may break every rule
+# flags of other trainers, and what `train` has for them
+OF_OTHERS = {
+    **dict.fromkeys(("task", "env", "env_name"), "here it is --config=NAME"),
+    "resume": "the same command goes on, and so does --workdir=DIR alone",
+    **dict.fromkeys(
+        ("load_run", "checkpoint"),
+        "--workdir=DIR goes on with a run, --restore=SOURCE starts from its policy",
+    ),
+    **dict.fromkeys(
+        ("max_iterations", "num_timesteps"),
+        "here it is --config.run.num_iterations=N, in iterations",
+    ),
+    **dict.fromkeys(
+        ("experiment_name", "run_name", "logdir", "log_dir"), "here it is --workdir=DIR"
+    ),
+    "logger": "--config.run.wandb=PROJECT logs to Weights & Biases",
+}
 STOPPED = (129, 130, 143)  # exit statuses of a command that was stopped by a signal
 
 
@@ -94,9 +111,12 @@ def read_with_fields(
 def _meant(of: argparse.ArgumentParser, word: str, unnamed: bool = False) -> str:
     """What may be meant by a word that is no flag of a command: a flag like it, or, where `unnamed` says that
     --config is missing, a config or the folder of a run; "" where nothing is."""
-    known, near = re.findall(r"--[a-z][a-z-]*", of.format_usage()), []
+    usage = of.format_usage()
+    if other := _of_others(usage, word):
+        return other
+    known, near = re.findall(r"--[a-z][a-z-]*", usage), []
     if word.startswith("-") or "=" in word:
-        near = difflib.get_close_matches(f"--{word.lstrip('-').partition('=')[0]}", known, 1)
+        near = difflib.get_close_matches(f"--{word.lstrip('-').partition('=')[0]}", known, 1, 0.75)
     elif unnamed and os.path.isdir(word) and "--workdir" in known:
         near = [f"--workdir={word}"]
     elif unnamed and re.fullmatch(r"([A-Za-z_]\w*|.*\.py)(:\w+)*", word):
@@ -104,10 +124,29 @@ def _meant(of: argparse.ArgumentParser, word: str, unnamed: bool = False) -> str
     return f"did you mean {near[0]}?" if near else ""
 
 
+def _of_others(usage: str, word: str) -> str:
+    """What a command of this `usage` has in the place of another trainer's flag; "" where it has nothing."""
+    name = _bare(word)
+    if name not in OF_OTHERS or not word.startswith("-"):
+        return ""
+    of_task = OF_OTHERS[name] == OF_OTHERS["task"]
+    if "--workdir" in usage or (of_task and "--config" in usage):
+        return OF_OTHERS[name]
+    if of_task and "CONFIG" in usage:
+        return "name the config without a flag"
+    named = "NAME_OR_DIR" in usage and name not in ("max_iterations", "num_timesteps", "logger")
+    return "name the policy, or the folder of its run, without a flag" if named else ""
+
+
+def _bare(word: str) -> str:
+    return word.lstrip("-").partition("=")[0].replace("-", "_")
+
+
 def _no_flag(word: str, meant: str = "") -> str:
     """The line on a word that is no flag: the field of its name, or what was `meant`."""
-    name = word.lstrip("-").partition("=")[0].replace("-", "_")
+    name = _bare(word)
     named = [f"--config.{n}" for n in fields.every() if n.rpartition(".")[2] == name]
+    named = [] if name in OF_OTHERS and meant else named  # `env` follows from a config
     expected = f"expected {' or '.join(named or ['--config.GROUP.FIELD'])}=VALUE"
     return f"{word}: no such flag; {expected if named or not meant else meant}"
 

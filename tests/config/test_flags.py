@@ -285,6 +285,41 @@ def test_words_that_are_no_flags_say_what_may_be_meant(tmp_path, monkeypatch):
     assert "one are anymal_c, anymal_d, g1, go1, go2" in refused(train.parse, ["--config=go3"])
 
 
+@pytest.mark.parametrize(
+    ("name", "word", "said"),
+    [
+        ("train", "--task=go1", "here it is --config=NAME"),
+        ("train", "--env=go1", "here it is --config=NAME"),
+        ("train", "--env-name=go1", "here it is --config=NAME"),
+        ("train", "--resume", "the same command goes on, and so does --workdir=DIR alone"),
+        (
+            "train",
+            "--load_run=a",
+            "--workdir=DIR goes on with a run, --restore=SOURCE starts from its",
+        ),
+        (
+            "train",
+            "--checkpoint=a",
+            "--workdir=DIR goes on with a run, --restore=SOURCE starts from",
+        ),
+        ("train", "--max_iterations=9", "here it is --config.run.num_iterations=N"),
+        ("train", "--num_timesteps=9", "here it is --config.run.num_iterations=N"),
+        ("train", "--experiment_name=a", "here it is --workdir=DIR"),
+        ("train", "--logdir=a", "here it is --workdir=DIR"),
+        ("train", "--logger=wandb", "--config.run.wandb=PROJECT logs to"),
+        ("train", "--headless", "expected --config.GROUP.FIELD=VALUE"),
+        ("bench", "--task=go1", "here it is --config=NAME"),
+        ("look", "--task=go1", "name the config without a flag"),
+        ("play", "--checkpoint=a1", "name the policy, or the folder of its run, without a flag"),
+        ("evaluate", "--load_run=a1", "name the policy, or the folder of its run, without a flag"),
+        ("export", "--logger=wandb", "python -m dynappo.export --help lists them"),
+    ],
+)
+def test_a_flag_of_another_trainer_is_told_what_is_here_in_its_place(name, word, said):
+    command = importlib.import_module(f"dynappo.{name}.command")
+    assert refused(command.parse, [word]).startswith(f"{word}: no such flag; {said}")
+
+
 def test_an_empty_path_and_a_far_number_are_refused():
     parser = flags.parser("show", "Shows.", "")
     parser.add_argument("--workdir", type=flags.path)
