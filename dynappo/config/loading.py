@@ -25,6 +25,32 @@ OWN = (pathlib.Path(), pathlib.Path("configs"))  # a name in one of these may me
 
 # what an environment by name (config.env) reads of the groups task and physics
 OF_NAMED = ("task.episode_length", "task.random_clock", "physics.impl")
+# environments of other packages, which need not be installed; for who leaves the package out
+OF_PACKAGES = {
+    "playground": (
+        *("ApolloJoystickFlatTerrain", "BarkourJoystick", "BerkeleyHumanoidJoystickFlatTerrain"),
+        *(
+            "BerkeleyHumanoidJoystickRoughTerrain",
+            "G1JoystickFlatTerrain",
+            "G1JoystickRoughTerrain",
+        ),
+        *("Go1Footstand", "Go1Getup", "Go1Handstand", "Go1JoystickFlatTerrain"),
+        *("Go1JoystickRoughTerrain", "H1InplaceGaitTracking", "H1JoystickGaitTracking"),
+        *("Op3Joystick", "SpotFlatTerrainJoystick", "SpotGetup", "SpotJoystickGaitTracking"),
+        *("T1JoystickFlatTerrain", "T1JoystickRoughTerrain"),
+    ),
+    "brax": (
+        *(
+            "ant",
+            "halfcheetah",
+            "hopper",
+            "humanoid",
+            "humanoidstandup",
+            "inverted_double_pendulum",
+        ),
+        *("inverted_pendulum", "pusher", "reacher", "walker2d"),
+    ),
+}
 FOLLOWS = {  # fields that are written with another one, and from what
     **dict.fromkeys(
         ("task.terms_hash", "task.terms_about"), "the file that --config.task.terms names"
@@ -60,9 +86,7 @@ def load_both(
         path = find("configs", path.name) or path
     if not path.is_file():
         where = " here or among dynappo's own configs" if looked_up else ""
-        with_one = [robot for robot in files.robots() if find("configs", f"{robot}.py")]
-        robots = f"; robots that have one are {', '.join(with_one)}" if name.isidentifier() else ""
-        raise ConfigError(f"{of}no file {name!r}{where}{robots}")
+        raise ConfigError(f"{of}no file {name!r}{where}{_near(name, variant, flag)}")
     try:
         config, get_env = _run(path, variant)
         fields.check_names(flat(config))
@@ -87,6 +111,19 @@ def load_both(
             raise ConfigError(f"{of}{path}: get_env {_cannot_be_run(error)}") from None
 
     return config, one_line
+
+
+def _near(name: str, variant: str, flag: str) -> str:
+    """Words on the config that is meant by the `name` of none; else on which there are."""
+    if not name.isidentifier():
+        return ""
+    robots = [robot for robot in files.robots() if find("configs", f"{robot}.py")]
+    every = robots + [f"{package}:{one}" for package, names in OF_PACKAGES.items() for one in names]
+    for spec in every:
+        if spec.rpartition(":")[2].lower() == name.lower():
+            meant = f"{spec}:{variant}".rstrip(":")
+            return f"; did you mean {f'{flag}={meant}'.lstrip('=')}?"
+    return f"; robots that have one are {', '.join(robots)}"
 
 
 def _cannot_be_run(error: BaseException) -> str:

@@ -8,6 +8,8 @@ import pytest
 from answers import ROOT, refused
 
 from dynappo import config as config_lib
+from dynappo.config import loading
+from dynappo.tasks import names
 
 
 def load(variant="dyna4", robot="go1"):
@@ -120,12 +122,26 @@ def test_a_file_that_get_env_imports_and_that_is_no_python_is_one_line(tmp_path,
         ("/no/such/dir/go1.py:quick", "no file '/no/such/dir/go1.py'"),  # not dynappo's go1.py
         ("my/configs/go1.py", "no file 'my/configs/go1.py'"),
         ("", "no file ''"),
+        ("Go1JoystickFlatTerrain", "did you mean --config=playground:Go1JoystickFlatTerrain?"),
+        ("spotgetup:ppo", "did you mean --config=playground:SpotGetup:ppo?"),
+        ("ant", "configs; did you mean --config=brax:ant?"),
+        ("Go1", "configs; did you mean --config=go1?"),
+        ("G1:laptop", "did you mean --config=g1:laptop?"),
         ("configs/go1.py:dyna3", "variant 'dyna3' is not one of ppo12, ppo16, dyna2"),
     ],
 )
 def test_a_file_or_variant_that_is_not_there_is_refused(spec, expected):
     line = refused(config_lib.load, spec)
     assert line.startswith("--config") and expected in line
+
+
+@pytest.mark.parametrize(
+    ("package", "module", "of"),
+    [("brax", "envs", "brax"), ("mujoco_playground", "_src.locomotion", "playground")],
+)
+def test_names_of_other_packages_are_those_that_they_have(package, module, of):
+    if known := names.registered(package, module):
+        assert {*loading.OF_PACKAGES[of]} == {*known} - names.UNSHOWN
 
 
 def test_a_field_that_is_none_of_dynappos_is_refused(tmp_path):
