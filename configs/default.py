@@ -310,8 +310,8 @@ class Tiles(NamedTuple):
     stairs_border: NotNegative = 1.0  # m, before the first step
     boxes: Rise = (0.05, 0.20)  # m, up and down
     box_width: Annotated[float, Between(0.01, 100)] = 0.45  # m
-    random: Rise = (0.02, 0.10)  # m, lowest and highest point, in every row
-    random_step: Annotated[float, Between(1e-4, 10)] = 0.02  # m, between two heights; divides the range
+    random: Rise = (0.02, 0.10)  # m, lowest and highest point, in every row; whole steps apart
+    random_step: Annotated[float, Between(1e-4, 10)] = 0.02  # m, between two heights
     slope: Rise = (0.0, 0.4)  # rise over run
     platform: NotNegative = 2.0  # m, in the middle of boxes and slopes
     margin: NotNegative = 0.25  # m, flat, around boxes, random ground and slopes
