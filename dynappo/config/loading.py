@@ -27,29 +27,17 @@ OWN = (pathlib.Path(), pathlib.Path("configs"))  # a name in one of these may me
 OF_NAMED = ("task.episode_length", "task.random_clock", "physics.impl")
 # environments of other packages, which need not be installed; for who leaves the package out
 OF_PACKAGES = {
-    "playground": (
-        *("ApolloJoystickFlatTerrain", "BarkourJoystick", "BerkeleyHumanoidJoystickFlatTerrain"),
-        *(
-            "BerkeleyHumanoidJoystickRoughTerrain",
-            "G1JoystickFlatTerrain",
-            "G1JoystickRoughTerrain",
-        ),
-        *("Go1Footstand", "Go1Getup", "Go1Handstand", "Go1JoystickFlatTerrain"),
-        *("Go1JoystickRoughTerrain", "H1InplaceGaitTracking", "H1JoystickGaitTracking"),
-        *("Op3Joystick", "SpotFlatTerrainJoystick", "SpotGetup", "SpotJoystickGaitTracking"),
-        *("T1JoystickFlatTerrain", "T1JoystickRoughTerrain"),
-    ),
-    "brax": (
-        *(
-            "ant",
-            "halfcheetah",
-            "hopper",
-            "humanoid",
-            "humanoidstandup",
-            "inverted_double_pendulum",
-        ),
-        *("inverted_pendulum", "pusher", "reacher", "walker2d"),
-    ),
+    "playground": """
+        ApolloJoystickFlatTerrain BarkourJoystick BerkeleyHumanoidJoystickFlatTerrain
+        BerkeleyHumanoidJoystickRoughTerrain G1JoystickFlatTerrain G1JoystickRoughTerrain Go1Footstand
+        Go1Getup Go1Handstand Go1JoystickFlatTerrain Go1JoystickRoughTerrain H1InplaceGaitTracking
+        H1JoystickGaitTracking Op3Joystick SpotFlatTerrainJoystick SpotGetup SpotJoystickGaitTracking
+        T1JoystickFlatTerrain T1JoystickRoughTerrain
+    """.split(),
+    "brax": """
+        ant halfcheetah hopper humanoid humanoidstandup inverted_double_pendulum inverted_pendulum
+        pusher reacher walker2d
+    """.split(),
 }
 FOLLOWS = {  # fields that are written with another one, and from what
     **dict.fromkeys(
