@@ -189,15 +189,9 @@ def folder(what: str, path: Path) -> Path:
     return Path(f"evaluation-{path.stem}")
 
 
-def open_folder(out: Path) -> None:
-    """Make the folder; ConfigError if nothing can be written there."""
-    probe = out / ".evaluation"
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        probe.touch()
-        probe.unlink()
-    except OSError as error:
-        raise ConfigError(f"--out={out}: cannot write there ({error.strerror})") from None
+def check_folder(out: Path) -> None:
+    """ConfigError if nothing can be written there; leaves nothing behind."""
+    flags_lib.check_writable(out / "evaluation.json")
 
 
 def rough_note(policy: Policy, flags) -> str:
@@ -252,13 +246,13 @@ def run(flags) -> None:
         theirs, path, named = other
         config = task_episodes.check(theirs, flags)
         out = flags.out or folder(flags.what, path)
-        open_folder(out)
+        check_folder(out)
         return task_episodes.run(theirs, config, flags, named, out)
     policy, player, robot, path, (named, note) = inputs(flags)
     if flags.record:
         return _record(flags, player, named)
     out = flags.out or folder(flags.what, path)
-    open_folder(out)
+    check_folder(out)
     screen = Console(highlight=False, emoji=False)
     inside = f" in {player.xml}" if flags.robot_xml else ""
     text = shell.pasted(f"dynappo evaluates {policy.robot}: {named}{inside}")
@@ -305,9 +299,10 @@ def run(flags) -> None:
             of_task = episodes.run(policy, number, flags.randomize, flags.seed or 0, robot)
         tables.episodes(screen, of_task)
     result = about | {"episodes": of_task, "sweep": numbers, "changes": changed, "units": UNITS}
-    files.write_json(out / "evaluation.json", result)
     problem = figures.write(out, policy.robot, numbers, recordings, policy.timestep)
     report.write(out, named, player, numbers, recordings, changed, of_task)
+    # the last: beside new numbers there is no old report
+    files.write_json(out / "evaluation.json", result)
     names = "evaluation.json, report.html" + ("" if problem else ", tracking.png, gait.png")
     screen.print(f"written to {out}: {names}", soft_wrap=True, markup=False)
     if problem:
@@ -344,4 +339,4 @@ def _crossing(flags, screen, policy: Policy, robot: Robot | None, named: str, ou
 
 def main(argv: list[str] | None = None) -> None:
     """The command; its exit statuses are those of `flags.answer`."""
-    flags_lib.answer(lambda: run(parse(argv)), "stopped; no file is written")
+    flags_lib.answer(lambda: run(parse(argv)))

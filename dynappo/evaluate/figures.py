@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from dynappo.config import shell
+from dynappo.config import files, shell
 from dynappo.evaluate.foot_motion import intervals
 
 WINDOW = 2.0  # s of a gait diagram
@@ -158,7 +158,8 @@ def write(out: Path, name: str, numbers: dict[str, Any], recordings, timestep: f
         ("tracking.png", tracking(f"{name}: how well it does what it is asked", numbers)),
         ("gait.png", gait(f"{name}: feet on the ground", numbers, recordings, timestep)),
     ):
-        (out / file).write_bytes(png(figure))
+        with files.replacing(out / file) as part:
+            part.write_bytes(png(figure))
     return ""
 
 

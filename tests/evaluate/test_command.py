@@ -110,10 +110,8 @@ def test_the_evaluation_of_a_workdir_is_in_it(saved, tmp_path, monkeypatch, caps
     assert "MJX" not in capsys.readouterr().out
 
 
-def test_stopped_after_a_table_it_says_that_no_file_is_written(
-    saved, tmp_path, monkeypatch, capsys
-):
-    """In the stairs; the disturbances before have been printed."""
+def test_stopped_after_a_table_it_leaves_nothing(saved, tmp_path, monkeypatch, capsys):
+    """In the stairs; the disturbances before have been printed. The folder would be new."""
     row = dict(stress="none", episodes=4, falls=1, tracking_error=0.1, yaw_error=None)
     monkeypatch.setattr(stress, "run", lambda *_: [row])
     monkeypatch.setattr(evaluate_command.tables, "stairs", None)
@@ -126,9 +124,9 @@ def test_stopped_after_a_table_it_says_that_no_file_is_written(
     task = policy.config["task"] | {"terrain": "rough"}
     rough = policy._replace(config=policy.config | {"task": task})
     monkeypatch.setattr(policy_source, "load", lambda *_: (rough, saved))
-    assert run(saved, "--stress", "--fast", f"--out={tmp_path}") == 130
+    assert run(saved, "--stress", "--fast", f"--out={tmp_path}/new/folder") == 130
     said = capsys.readouterr()
-    assert "1 of 4" in said.out and said.err == "dynappo: stopped; no file is written\n"
+    assert "1 of 4" in said.out and said.err == "dynappo: stopped\n"
     assert not [*tmp_path.iterdir()]
 
 
@@ -259,6 +257,13 @@ def test_stopped_and_disk_full(saved, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(trials, "run", lambda *_, **__: (toy_sweep.numbers(), []))
     monkeypatch.setattr(changes, "run", lambda *_: toy_sweep.changes())
     monkeypatch.setattr(changes, "tours", lambda *_: [])
+    monkeypatch.setattr(evaluate_command.figures, "write", lambda *_: "")
+    monkeypatch.setattr(evaluate_command.report, "write", interrupt)
+    capsys.readouterr()
+    assert run(saved, "--fast", f"--out={tmp_path}") == 130
+    assert capsys.readouterr().err == "dynappo: stopped\n"
+    assert not list(tmp_path.iterdir())  # no numbers beside the report of older ones
+    monkeypatch.setattr(evaluate_command.report, "write", lambda *_: None)
 
     def full(path, value):
         raise OSError(28, "No space left on device", str(path))
