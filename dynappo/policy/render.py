@@ -118,10 +118,27 @@ def film(
 
     `size` is width and height (even numbers); each kind of file has a default. `tell(share)` is
     called after each frame. Returns "" if the file was written, else one line that says why not and
-    what to install.
+    what to install; OSError, one line, where no file can be written, as on a full disk. The file is written
+    whole or not at all.
     """
-    wanted, size = size, size or (PICTURE if out.suffix == ".png" else (WIDTH, HEIGHT))
+    part = out.with_name(f".{out.stem}.part{out.suffix}")  # by its suffix ffmpeg knows the format
+    try:
+        problem = _rendered(robot, episode, part, size, tell)
+        if not problem:
+            os.replace(part, out)
+        return problem
+    except OSError as error:
+        raise OSError(f"cannot write {out} ({error.strerror or error})") from None
+    finally:
+        with contextlib.suppress(OSError):
+            part.unlink(missing_ok=True)
+
+
+def _rendered(robot, episode: dict[str, np.ndarray], out: Path, wanted, tell) -> str:
+    """`film`, which may leave half of `out` behind; its OSError says only the reason."""
+    size = wanted or (PICTURE if out.suffix == ".png" else (WIDTH, HEIGHT))
     gif = wanted[0] if wanted else round(GIF_SHARE * WIDTH)
+    out.parent.mkdir(parents=True, exist_ok=True)
     with contextlib.ExitStack() as stack:
         try:
             folder = stack.enter_context(tempfile.TemporaryDirectory())
@@ -132,9 +149,8 @@ def film(
             shown |= {name: episode[name] for name in ("qpos", "command", "velocity", "dt")}
             shown |= {n: episode[n] for n in ("pose", *HeightMap._fields) if n in episode}
             np.savez(npz, **shown)
-            out.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:  # no temporary folder, or a full disk
-            return f"no video: cannot write a temporary file ({error.strerror or error})"
+            raise OSError(f"a temporary file: {error.strerror or error}") from None
         limit = PATIENCE * (10 + float(episode["dt"]) * len(episode["qpos"]))  # s
         limit *= max(1.0, size[0] * size[1] / (PICTURE[0] * PICTURE[1]))
         for backend in BACKENDS:
@@ -144,7 +160,6 @@ def film(
             command += map(str, (*size, gif))
             status, said = _process(command, environment, limit, tell)
             if status is None:
-                out.unlink(missing_ok=True)  # what it had written by then
                 return f"no video: rendering by {backend} took more than {limit:.0f} s"
             if status == 0:
                 return ""
@@ -152,7 +167,7 @@ def film(
                 lacking = "pillow" if out.suffix == ".png" else "imageio-ffmpeg"
                 return LACKS.format(lacking) + shell.install("video")
             if status == CANNOT_WRITE:
-                return f"no video: {said.strip().splitlines()[-1]}"
+                raise OSError(said.strip().splitlines()[-1])
     return NO_OPENGL
 
 
@@ -354,6 +369,16 @@ def with_legend(picture: np.ndarray, card: tuple[np.ndarray, np.ndarray]) -> np.
     return out
 
 
+def whole_film(out: Path, count: int) -> bool:
+    """Whether a film has its `count` pictures: imageio-ffmpeg does not say how ffmpeg has ended."""
+    import imageio_ffmpeg
+
+    try:
+        return imageio_ffmpeg.count_frames_and_secs(str(out))[0] == count
+    except RuntimeError:
+        return False
+
+
 def main(argv: list[str]) -> None:
     """Render with arguments `EPISODE.npz OUT WIDTH HEIGHT GIF`: OUT is .mp4, .gif (GIF wide) or
     .png.
@@ -395,12 +420,12 @@ def main(argv: list[str]) -> None:
             writer.send(with_legend(picture, card))
             print(done / count, flush=True)
         writer.close()
+        if not whole_film(out, count):
+            raise OSError
     except ImportError:
         sys.exit(LACKS_PACKAGE)
-    except OSError as error:
-        print(f"cannot write {out}: {error.strerror or error}", file=sys.stderr)
-        with contextlib.suppress(OSError):
-            out.unlink(missing_ok=True)
+    except OSError as error:  # imageio-ffmpeg's own has many lines
+        print(error.strerror or "ffmpeg has ended early; is the disk full?", file=sys.stderr)
         sys.exit(CANNOT_WRITE)
 
 

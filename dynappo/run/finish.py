@@ -66,6 +66,8 @@ def finish(
                 problem = _film_of_task(config, workdir)
         except (FloatingPointError, ConfigError) as error:  # the run itself has ended well
             problem, summary["playable"] = f"no video: {error}", False
+        except OSError as error:  # a full disk
+            problem = f"no video: {error}"
         summary["video"] = problem or str(workdir / "video.mp4")
         summary["video_seconds"] = time.perf_counter() - began
     if len(run.origins) > 1:  # else all of it is in the summary itself

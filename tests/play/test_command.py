@@ -183,6 +183,18 @@ def test_a_film_that_cannot_be_made_points_to_the_page(saved, tmp_path, monkeypa
     assert "no video: no such thing" in said and "--out=walk.html" in said and not out.exists()
 
 
+def test_a_full_disk_is_no_mistake_of_the_command(saved, tmp_path, monkeypatch, capsys):
+    """Status 1, as all that the machine fails at; a page needs room, too."""
+
+    def full(*_):
+        raise OSError("cannot write walk.mp4 (No space left on device)")
+
+    monkeypatch.setattr(render, "film", full)
+    assert status(play_command.main, saved, "--seconds=0.1", f"--out={tmp_path}/walk.mp4") == 1
+    said = capsys.readouterr().err
+    assert said.endswith("dynappo: cannot write walk.mp4 (No space left on device)\n")
+
+
 # ---- mistakes
 
 MISTAKES = {  # flags, what the line must say

@@ -3,6 +3,7 @@
 import itertools
 import re
 import sys
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -258,30 +259,71 @@ def test_a_driver_that_hangs_is_not_waited_for_for_ever(standing, tmp_path, monk
     assert not list(tmp_path.iterdir())
 
 
-def test_half_a_film_does_not_stay(standing, tmp_path, monkeypatch):
-    """Of a driver that is too slow: what it had written is no film."""
+def stopped():
+    raise KeyboardInterrupt
+
+
+FAILURES = {  # what the process that renders comes to after half a film; the error, what is said
+    "slow": (lambda: (None, ""), None, "took more than"),
+    "full disk": (
+        lambda: (render.CANNOT_WRITE, "No space left\n"),
+        OSError,
+        "a.mp4 (No space left)",
+    ),
+    "ctrl-C": (stopped, KeyboardInterrupt, ""),
+}
+
+
+@pytest.mark.parametrize("name", FAILURES)
+def test_half_a_film_does_not_stay_and_an_older_one_does(standing, tmp_path, monkeypatch, name):
+    """What is rendered by then is no film."""
+    end, error, said = FAILURES[name]
     out = tmp_path / "a.mp4"
-    monkeypatch.setattr(render, "_process", lambda *_: (out.write_bytes(b"half"), (None, ""))[1])
-    assert "took more than" in render.film(GO1, rows_of(standing, slice(2)), out)
-    assert not out.exists()
+    out.write_bytes(b"old")
+
+    def half(command, *_):
+        Path(command[-4]).write_bytes(b"half")
+        return end()
+
+    monkeypatch.setattr(render, "_process", half)
+    if error:
+        with pytest.raises(error) as caught:
+            render.film(GO1, rows_of(standing, slice(2)), out)
+        assert said in str(caught.value)
+    else:
+        assert said in render.film(GO1, rows_of(standing, slice(2)), out)
+    assert out.read_bytes() == b"old" and len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_film_that_ffmpeg_could_not_end_is_none(filmed, tmp_path):
+    """As where the disk is full at its end: nothing else tells."""
+    cut, count = tmp_path / "a.mp4", probe(filmed)[0]
+    for share, pictures, expected in ((1.0, count, True), (0.9, count, False), (1.0, 9, False)):
+        cut.write_bytes(filmed.read_bytes()[: round(share * filmed.stat().st_size)])
+        assert render.whole_film(cut, pictures) is expected
 
 
 def test_a_film_that_cannot_be_written_is_not_a_missing_package(standing, filmed, tmp_path):
-    """A folder that has its name: the line says so."""
+    """A folder that has its name, or a folder that is none: the line says so."""
     (tmp_path / "video.mp4").mkdir()
-    problem = render.film(GO1, rows_of(standing, slice(2)), tmp_path / "video.mp4")
-    assert problem.startswith("no video: cannot write ") and "s a directory" in problem
+    (tmp_path / "file").touch()
+    for out in (tmp_path / "video.mp4", tmp_path / "file" / "video.mp4"):
+        with pytest.raises(
+            OSError, match=r"^cannot write .*/video.mp4 \(.*(s a directory|exists)\)"
+        ):
+            render.film(GO1, rows_of(standing, slice(2)), out)
 
 
 def test_without_room_for_its_own_files_a_film_is_one_line(standing, tmp_path, monkeypatch):
-    """A disk that is full: the run that wanted it goes on."""
+    """A disk that is full."""
 
     def full(*_, **__):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(render.np, "savez", full)
-    problem = render.film(GO1, rows_of(standing, slice(2)), tmp_path / "video.mp4")
-    assert problem == "no video: cannot write a temporary file (No space left on device)"
+    with pytest.raises(OSError, match=r"video.mp4 \(a temporary file: No space left on device\)$"):
+        render.film(GO1, rows_of(standing, slice(2)), tmp_path / "video.mp4")
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("name", ["go1", "g1"])

@@ -150,6 +150,14 @@ def test_there_is_a_film_or_the_reason(program, whole, tmp_path, monkeypatch):
         assert 0.05 < summary["video_seconds"] < 60 and "evaluation_seconds" not in summary
         assert summary["curves"] == str(tmp_path / "curves.png") and "playable" not in summary
 
+    def full(*_):
+        raise OSError("cannot write video.mp4 (No space left on device)")
+
+    monkeypatch.setattr(render, "film", full)
+    summary = finish.finish(run, program(), whole.state, {})
+    assert summary["video"] == "no video: cannot write video.mp4 (No space left on device)"
+    assert "playable" not in summary
+
     def blown_up(*_):
         raise FloatingPointError("its physics has blown up")
 
