@@ -273,6 +273,14 @@ def check_writable(out: Path, flag: str = "out") -> None:
                 folder.rmdir()
 
 
+def check_kept(out: Path, inputs: dict[str, Path | str | None], flag: str = "out") -> None:
+    """ConfigError if `out`, the value of a flag, is one of the files that are read: they are named by what
+    they are, and need not exist."""
+    for what, path in inputs.items():
+        if path and os.path.exists(path) and os.path.exists(out) and os.path.samefile(path, out):
+            raise ConfigError(f"--{flag}={out}: this would overwrite {what}; choose another file")
+
+
 def start(command: str) -> None:
     """Run `dynappo.COMMAND`, whatever MUJOCO_GL is.
 

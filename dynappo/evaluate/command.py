@@ -250,6 +250,8 @@ def run(flags) -> None:
         return task_episodes.run(theirs, config, flags, named, out)
     policy, player, robot, path, (named, note) = inputs(flags)
     if flags.record:
+        read = {"the policy": path, "--robot-xml": flags.robot_xml, "--terms": flags.terms}
+        flags_lib.check_kept(flags.record, read, "record")
         return _record(flags, player, named)
     out = flags.out or folder(flags.what, path)
     check_folder(out)

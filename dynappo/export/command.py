@@ -8,7 +8,6 @@ reorder anything. Next: robots/DEPLOY.md.
 from __future__ import annotations
 
 import argparse
-import os
 from pathlib import Path
 
 from dynappo.config import ConfigError, files, shell
@@ -70,11 +69,11 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     return flags
 
 
-def check_out(out: Path, taken: Path) -> None:
-    """ConfigError if nothing can be written at `out`; leaves no file behind."""
-    if os.path.exists(out) and taken.exists() and out.samefile(taken):
-        raise ConfigError(f"--out={out}: this would overwrite the policy; choose another file")
-    flags_lib.check_writable(out)
+def check_out(flags, path: Path) -> None:
+    """ConfigError if nothing can be written at `--out`, or it is read; leaves no file behind."""
+    read = {"the policy": path, "--robot-xml": flags.robot_xml, "--terms": flags.terms}
+    flags_lib.check_kept(flags.out, read)
+    flags_lib.check_writable(flags.out)
 
 
 def table(policy: Policy, out: Path, order: str, targets: bool) -> list[tuple[str, str]]:
@@ -123,7 +122,7 @@ def run(flags) -> None:
     if theirs is not None:
         return of_task(*theirs, flags)
     policy, path, named = policy_source.of_flags(flags)
-    check_out(flags.out, path)
+    check_out(flags, path)
     robot, note = policy_source.robot(policy, flags.robot_xml)
     if set(robot.joint_names) != set(policy.joint_names):
         raise ConfigError(
@@ -157,7 +156,7 @@ def same_pose(policy: Policy, robot: Robot) -> bool:
 def of_task(policy: Other, path: Path, named: str, flags) -> None:
     """`run` for a policy of another package's environment."""
     task_onnx.check(policy, path, flags)
-    check_out(flags.out, path)
+    check_out(flags, path)
     told = (
         "asks the environment for its joints and times, a minute or two where the machine is slow"
     )

@@ -74,7 +74,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
         help="pixels; default: 640x360 for a film, 1280x720 for a picture",
     )
     flag("--policy", metavar="zero|random", help="zero or random actions instead of the policy's")
-    flag("--seed", metavar="N", default="0", help="random seed of --policy=random; default: 0")
+    flag("--seed", metavar="N", help="random seed of --policy=random; default: 0")
     flag(
         "--keep-joints",
         action="store_true",
@@ -104,7 +104,8 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
         raise ConfigError(
             f"--run-seed={flags.run_seed}: --policy={flags.policy} plays none of a run"
         )
-    flags.seed = flags_lib.whole("seed", flags.seed, 0)
+    if flags.seed is not None:
+        flags.seed = flags_lib.whole("seed", flags.seed, 0)
     flags.size = None if flags.size is None else film.size(flags.size, flags.out)
     if flags.seconds is not None:
         seconds = command_script.number(flags.seconds)
@@ -138,11 +139,23 @@ def choose(flags) -> tuple[Policy, Callable[[np.ndarray], np.ndarray], str]:
     return policy, lambda obs: draw.normal(size=size), f"random actions, seed {flags.seed}"
 
 
-def check_out(out: Path) -> None:
-    """ConfigError if nothing can be written at `out`; leaves no file behind."""
-    if out.suffix not in FILES:
-        raise ConfigError(f"--out={out}: expected a file named {', '.join(FILES)}")
-    flags_lib.check_writable(out)
+def check_out(flags) -> None:
+    """ConfigError if nothing can be written at `--out`, or it is read; leaves no file behind."""
+    if flags.out.suffix not in FILES:
+        raise ConfigError(f"--out={flags.out}: expected a file named {', '.join(FILES)}")
+    names = "robot_xml", "ground", "command", "terms"
+    read = {f"--{name.replace('_', '-')}": getattr(flags, name) for name in names}
+    flags_lib.check_kept(flags.out, {"the policy": flags.what, **read})
+    flags_lib.check_writable(flags.out)
+
+
+def check_seed(flags, theirs: bool) -> None:
+    """Make `flags.seed` a number; ConfigError if it is given and nothing is drawn: an episode of another
+    package's environment (`theirs`) begins at random."""
+    drawn = flags.policy == "random" or (theirs and flags.serve is None)
+    if flags.seed is not None and not drawn:
+        raise ConfigError(f"--seed={flags.seed}: is for --policy=random")
+    flags.seed = flags.seed or 0
 
 
 def table(player: episode_lib.Player, episode: dict) -> list[tuple[str, str]]:
@@ -202,8 +215,9 @@ def run(flags) -> None:
     """Play as the flags say, and print the measures."""
     out = flags.out
     if out is not None:
-        check_out(out)
+        check_out(flags)
     theirs = _other(flags)
+    check_seed(flags, theirs is not None)
     commands = command_script.commands(flags.command, flags.seconds)
     if flags.serve is not None:
         serve.run(flags, theirs, choose, commands if flags.command else None)

@@ -361,3 +361,16 @@ def test_where_nothing_can_be_written_it_is_said_before_anything_is_done(tmp_pat
         (tmp_path / ("n" * 256), "File name too long"),
     ):
         assert f"--out={out}: cannot write there ({reason}" in refused(flags.check_writable, out)
+
+
+def test_what_is_read_is_not_written_over(tmp_path):
+    """Also through a link or another spelling; what is no file, or is not there, is none."""
+    mine, link = tmp_path / "mine.png", tmp_path / "link.png"
+    mine.touch()
+    link.symlink_to(mine)
+    for out in (mine, link, tmp_path / "." / "mine.png"):
+        line = refused(flags.check_kept, out, {"--command": None, "--ground": str(mine)})
+        assert line == f"--out={out}: this would overwrite --ground; choose another file"
+    for path in (None, "pit_stairs:0.3", "n" * 300, tmp_path):
+        flags.check_kept(mine, {"--ground": path})
+    flags.check_kept(tmp_path / "new.png", {"--ground": mine})

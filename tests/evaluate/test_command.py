@@ -219,6 +219,10 @@ MISTAKES = {  # arguments, what the line must say
         "--stress beside it: expected --rec",
     ),
     "recorded where": (["POLICY", "--record=POLICY/a.npz"], "cannot write there (File exists)"),
+    "recorded over": (
+        ["POLICY", "--record=POLICY"],
+        "mover.npz: this would overwrite the policy",
+    ),
     "seconds": (
         ["POLICY", "--seconds=9"],
         "--seconds is for --record=FILE.npz, which is not there",

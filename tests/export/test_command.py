@@ -86,6 +86,10 @@ MISTAKES = {  # arguments, what the line must say
     "targets": (["small", "--out=a.npz", "--targets"], "--targets: only an .onnx has outputs"),
     "a folder": (["small", "--out=taken.npz"], "--out=taken.npz: cannot write there (Is a dir"),
     "itself": (["small", "--out=small/policy.npz"], "policy.npz: this would overwrite the policy"),
+    "its robot": (
+        ["small", "--robot-xml=mine.xml", "--out=mine.xml"],
+        "--out=mine.xml: this would overwrite --robot-xml; choose another file",
+    ),
     "order": (["small", "--out=a.onnx", "--joint-order=x"], "go2 has no joint x; expected mjcf"),
     "joints": (["spot.npz", "--out=a.onnx"], "its joints are LF_HAA"),
 }
@@ -99,9 +103,11 @@ def test_a_mistake_is_one_line_and_status_2(small, tmp_path, monkeypatch, capsys
     Path("taken.npz").mkdir()
     policy, robot, _ = described("anymal_c")  # its joints under the name of a Go1
     onnx_file.save(policy._replace(robot="go1", mjcf=""), robot, Path("spot.npz"))
+    Path("mine.xml").write_text(small[1].mjcf)
     before = small[0].read_bytes()
     assert expected in mistake(export_command.main, arguments, capsys)
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["small", "spot.npz", "taken.npz"]
+    assert {p.name for p in tmp_path.iterdir()} == {"mine.xml", "small", "spot.npz", "taken.npz"}
+    assert Path("mine.xml").read_text() == small[1].mjcf
     assert small[0].read_bytes() == before and len(list(Path("small").iterdir())) == 1
 
 
@@ -129,6 +135,9 @@ def test_a_word_comes_before_a_task_is_asked(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(export_command.task_onnx, "save", save)
     policy = SimpleNamespace(config=SimpleNamespace(env="playground:Go1Getup"))
     export_command.of_task(
-        policy, tmp_path / "a.npz", "runs/a", SimpleNamespace(out=tmp_path / "a.onnx")
+        policy,
+        tmp_path / "a.npz",
+        "runs/a",
+        SimpleNamespace(out=tmp_path / "a.onnx", robot_xml=None, terms=None),
     )
     assert said[0].startswith("dynappo exports playground:Go1Getup: runs/a; ")

@@ -203,6 +203,18 @@ MISTAKES = {  # flags, what the line must say
     "unknown flag": (["go1", "--speed=3"], "--speed=3: no such flag"),
     "policy": (["go1", "--policy=best"], "--policy='best': expected zero or random"),
     "seed": (["go1", "--policy=random", "--seed=one"], "--seed='one': expected an integer"),
+    "seed of a policy": (["go1", "--seed=7", "--out=a.html"], "--seed=7: is for --policy=random"),
+    "seed of zero": (["go1", "--seed=0", "--policy=zero"], "--seed=0: is for --policy=random"),
+    "its robot": (
+        ["go1", "--robot-xml=mine.png", "--out=mine.png"],
+        "--out=mine.png: this would overwrite --robot-xml; choose another file",
+    ),
+    "its ground": (
+        ["go1", "--ground=mine.png", "--out=./mine.png"],
+        "this would overwrite --ground",
+    ),
+    "its commands": (["go1", "--command=mine.png", "--out=mine.png"], "would overwrite --command"),
+    "its policy": (["mine.png", "--out=mine.png"], "this would overwrite the policy"),
     "seconds": (["go1", "--seconds=long"], "--seconds='long': expected a number above 0"),
     "two numbers": (["go1", "--command=1,2"], "--command='1,2': expected three numbers"),
     "not finite": (["go1", "--command=nan,0,0"], "expected three numbers"),
@@ -236,10 +248,12 @@ def test_a_mistake_is_one_line_and_status_2(tmp_path, monkeypatch, capsys, name)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     (tmp_path / "taken.html").mkdir()
     (tmp_path / "empty.xml").write_text("<mujoco/>")
+    (tmp_path / "mine.png").write_text("mine")
     named = any(flag.startswith("--policy") for flag in flags)
-    acts = [] if named or not flags else ["--policy=zero"]
+    acts = [] if named or not flags or "--seed=7" in flags else ["--policy=zero"]
     assert expected in mistake(play_command.main, [*flags, *acts], capsys)
-    assert {p.name for p in tmp_path.iterdir()} == {"taken.html", "empty.xml"}
+    assert {p.name for p in tmp_path.iterdir()} == {"taken.html", "empty.xml", "mine.png"}
+    assert (tmp_path / "mine.png").read_text() == "mine"
 
 
 def test_a_name_that_a_stream_or_a_page_cannot_show_is_written_in_ascii(
