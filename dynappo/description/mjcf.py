@@ -8,6 +8,7 @@ no other file (`check_alone`).
 from __future__ import annotations
 
 import contextlib
+import warnings
 from typing import TYPE_CHECKING
 from xml.parsers import expat
 
@@ -31,10 +32,12 @@ def one_line(xml: Path, what: str = ""):
     path.
 
     `what` comes after the path: the part of the file that is meant. MuJoCo's warnings are dropped
-    meanwhile: it would write them to a file in the working directory.
+    meanwhile: it would write them to a file in the working directory; and those of its Python package, as on
+    an attribute that later versions do not have.
     """
     try:
-        with without_warnings():
+        with without_warnings(), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
             yield
     except ConfigError:
         raise

@@ -1,6 +1,7 @@
 """An MJCF with mistakes is one line; one that a policy carries may read no file."""
 
 import re
+import warnings
 
 import mujoco
 import pytest
@@ -144,3 +145,11 @@ def test_a_file_in_it_is_not_even_looked_for(element, name, tmp_path):
 def test_what_brings_files_or_code_is_refused(element, tmp_path):
     line = refused(robot.load_text, top(f"<{element}/>"), "go1", tmp_path / "policy.npz")
     assert f"needs no other file, found {element}" in line
+
+
+def test_an_attribute_that_mujoco_will_drop_warns_nobody(tmp_path):
+    """Of the file; its line would name ours."""
+    (tmp_path / "mine.xml").write_text(top('<statistic meaninertia="0.05"/>'))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        robot.load_xml(tmp_path / "mine.xml")
