@@ -64,6 +64,11 @@ def iterations(folder: Path) -> list[int]:
     return sorted(found, reverse=True)
 
 
+def is_one(folder: Path) -> bool:
+    """Whether a folder is a checkpoint, perhaps a damaged one."""
+    return os.path.isdir(folder / STATE) and os.path.isdir(folder / "about")
+
+
 def about(folder: Path) -> dict:
     """The metadata saved with the arrays: iteration, config, every array's shape, a hash of all."""
     found = read_json(folder, "about/metadata")

@@ -56,11 +56,11 @@ def locate(text: str, seed: int | None = None) -> Path:
             f"{text}: no such file or folder; expected a workdir, a checkpoint, a policy.npz or one "
             f"of {', '.join(files.bundled())}"
         )
+    if (path / checkpoint_file.STATE).is_dir():
+        return path
     if seed is None and (path / "policy.npz").is_file():
         return path / "policy.npz"
     _check_no_sweep(text, path, seed)
-    if (path / checkpoint_file.STATE).is_dir():
-        return path
     folder = path / "checkpoints" if (path / "checkpoints").is_dir() else path
     saved = checkpoint_file.iterations(folder)
     if not saved:

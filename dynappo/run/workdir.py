@@ -8,6 +8,7 @@ import errno
 import itertools
 import json
 import math
+import os
 import sys
 from collections.abc import Mapping, Sequence
 from fnmatch import fnmatch
@@ -86,6 +87,8 @@ def open_workdir(workdir: Path, config, fresh: bool = False, say=lambda text: No
 
 def _open(workdir: Path, config, fresh: bool, held: contextlib.ExitStack, say) -> None:
     try:
+        if problem := in_checkpoint(workdir):
+            raise ConfigError(problem)
         if fresh and _movable(workdir):
             say(f"the run that was there is {move_aside(workdir)} now")
         missing = [folder for folder in (workdir, *workdir.parents) if not folder.exists()]
@@ -177,8 +180,35 @@ def _compare(workdir: Path, here: str) -> None:
             )
 
 
+def in_checkpoint(workdir: Path) -> str:
+    """The line on a folder that is a checkpoint, in one, or among those of a run; "" of any other.
+
+    A run in there would be played in the checkpoint's place, and lost with it.
+    """
+    path = Path(os.path.realpath(workdir))
+    above = [path, *path.parents]
+    steps = [folder for folder in above if checkpoint_file.is_one(folder)]
+    runs = [folder.parent for folder in above if folder.name == "checkpoints"]
+    runs = [
+        run
+        for run in runs
+        if any(checkpoint_file.is_one(run / "checkpoints" / str(step)) for step in saved(run))
+    ]
+    if not steps and not runs:
+        return ""
+    where = "is a checkpoint, or lies in one; "
+    if runs:
+        where = (
+            f"lies among the checkpoints of {runs[0]}; --workdir={runs[0]} goes on with that run, "
+        )
+    source = (steps or runs)[0]
+    return f"--workdir={workdir}: {where}--restore={source} with another --workdir starts a new one from it"
+
+
 def no_run(workdir: Path) -> str:
     """The line on a folder that holds no run to go on with, and the run beside it whose name is like its."""
+    if problem := in_checkpoint(workdir):
+        return problem
     beside = [path.parent.name for path in workdir.parent.glob("*/config.json")]
     near = difflib.get_close_matches(workdir.name, beside, 1)
     meant = f"did you mean --workdir={workdir.parent / near[0]}? " if near else ""

@@ -77,6 +77,8 @@ def opened(
     """
     with contextlib.ExitStack() as held:
         try:
+            if problem := workdir_lib.in_checkpoint(workdir):
+                raise ConfigError(problem)
             if fresh:
                 _move(workdir, restore)
             for name in RUN:

@@ -237,6 +237,10 @@ def test_names_files_and_folders_are_told_apart(tmp_path, monkeypatch):
     assert "./spot: holds neither" in refused(policy_source.locate, "./spot")
     shutil.copy(saved, "spot/policy.npz")
     assert policy_source.locate("./spot") == Path("spot/policy.npz")
+    checkpoint = Path("spot/checkpoints/40")  # where another run was begun in it
+    (checkpoint / "state").mkdir(parents=True)
+    shutil.copy(saved, checkpoint)
+    assert policy_source.locate(str(checkpoint)) == checkpoint
     line = refused(policy_source.locate, "sptt")
     assert line.startswith("sptt: no such file or folder") and "go2_rough, spot" in line
 

@@ -244,6 +244,39 @@ def test_a_folder_that_cannot_be_written_is_refused(config, tmp_path):
     assert (tmp_path / "taken").read_text() == "mine"
 
 
+IN = [
+    "checkpoints/4",
+    "checkpoints/4/state/new",
+    "checkpoints/6",
+    "checkpoints",
+    "copy",
+    "copy/new",
+]
+
+
+@pytest.mark.parametrize("fresh", [False, True])
+@pytest.mark.parametrize("name", IN)
+def test_no_run_begins_among_the_checkpoints_of_another(whole, config, tmp_path, name, fresh):
+    """One in there would be played in the checkpoint's place; a folder of such a name alone is no matter."""
+    run = shutil.copytree(whole.workdir, tmp_path / "run")
+    shutil.copytree(run / "checkpoints" / "4", run / "copy")
+    before = workdirs.everything(run)
+    line = refused(opened, run / name, config, fresh=fresh)
+    if name.startswith("copy"):
+        source = run / "copy"
+        assert line.startswith(
+            f"--workdir={run / name}: is a checkpoint, or lies in one; --restore="
+        )
+    else:
+        source = run / "checkpoints" / "4" if name.startswith("checkpoints/4") else run
+        assert f"among the checkpoints of {run}; --workdir={run} goes on with that run" in line
+    assert f"--restore={source} with another --workdir" in line
+    assert workdir_lib.no_run(run / name) == line
+    assert workdirs.everything(run) == before
+    opened(tmp_path / "checkpoints" / "1", config)
+    opened(tmp_path / "checkpoints" / "2", config)
+
+
 def test_fresh_moves_the_old_run_aside(config, whole, tmp_path):
     """Twice; nothing of either is lost."""
     workdir = tmp_path / "run"

@@ -324,6 +324,8 @@ def test_a_sweep_has_a_folder_of_its_own_and_its_workdir_alone_goes_on_with_it(
 def test_runs_and_sweeps_are_not_mixed_in_a_folder(whole, tmp_path, stop):
     line = refused(train_command.parse, ["--config=go1", f"--workdir={whole}"])
     assert "holds a sweep" in line
+    inside = whole / NAMES[0] / "checkpoints" / "4"
+    assert f"among the checkpoints of {whole / NAMES[0]}" in refused(sweep, inside, stop)
     workdir = tmp_path / "run"
     workdir.mkdir()
     (workdir / "config.json").write_text("{}")
