@@ -175,7 +175,8 @@ def blown_up(workdir: Path, one: Combination) -> str:
 
 
 def summary(workdir: Path, one: Combination) -> dict[str, Any]:
-    """The summary.json of a combination that has ended as its config says; {} of any other."""
+    """The summary.json of a combination that has ended as its config says; {} of any other, and where a file
+    of it is lost or damaged: it then goes on from its checkpoint, which writes all of them again."""
     folder = workdir / one.name
     try:
         same = (folder / "config.json").read_text() == config_lib.to_json(one.config) + "\n"
@@ -183,6 +184,16 @@ def summary(workdir: Path, one: Combination) -> dict[str, Any]:
         ended = (
             found["iterations"] == iterations_saved(workdir, one) == one.config.run.num_iterations
         )
-    except (FileNotFoundError, ValueError, KeyError, TypeError):
+        evaluation = found.get("evaluation", {})
+        some = [found["seconds"], found.get("return"), *evaluation.values()]
+        numbers = type(found["sim_steps"]) is int and all(map(_numbers, some))
+    except (FileNotFoundError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return {}
-    return found if same and ended else {}
+    there = all((folder / name).is_file() for name in ("metrics.csv", "policy.npz"))
+    return found if same and ended and numbers and there else {}
+
+
+def _numbers(value: Any) -> bool:
+    """Whether a value is a number, None where it is not known, or a list of these, one a seed."""
+    some = value if isinstance(value, list) else [value]
+    return all(x is None or type(x) in (int, float) for x in some)

@@ -160,7 +160,8 @@ def _show(out, workdir: Path, combinations: list[Combination], swept: list[str])
         (workdir / "policy.npz").unlink(missing_ok=True)  # of a sweep before values were added
         return
     best = workdir / rows[0]["folder"]
-    shutil.copyfile(best / "policy.npz", workdir / "policy.npz")
+    with files.replacing(workdir / "policy.npz") as part:
+        shutil.copyfile(best / "policy.npz", part)
     doubt = table.doubt(rows)
     if doubt:
         show.unusual(out, doubt)

@@ -46,10 +46,9 @@ def figure(workdir: Path, table: list[dict[str, Any]], swept: list[str]) -> Any:
     most = max((one["sim_steps"] for one in shown), default=0)
     scale, unit = (1e6, "million simulator steps") if most >= 1e5 else (1, "simulator steps")
     for rank, (one, color) in enumerate(zip(shown, shades, strict=True)):
-        metrics = log.read_csv(workdir / one["folder"] / "metrics.csv", one["seeds"])
-        returns = np.asarray(metrics["episode_return"]).reshape(len(metrics["sim_steps"]), -1)
+        steps, returns = _curve(workdir / one["folder"] / "metrics.csv", one["seeds"])
         best: dict[str, Any] = dict(color=color, zorder=len(shown) - rank)
-        left.plot(metrics["sim_steps"] / scale, returns.mean(1), lw=2 if rank == 0 else 1.3, **best)
+        left.plot(steps / scale, returns, lw=2 if rank == 0 else 1.3, **best)
         ends = np.array(one["returns"].split(), float)
         right.scatter(ends, np.full(len(ends), rank), s=34, edgecolors="white", **best)
         right.plot(one["return_mean"], rank, "|", ms=15, mew=2.4, **best)
@@ -75,6 +74,17 @@ def figure(workdir: Path, table: list[dict[str, Any]], swept: list[str]) -> Any:
     ranked = {grid.BY_RETURN: "", "": " (not ranked)"}.get(by, f" (ranked by {by})")
     page.suptitle(", ".join(swept) + ranked, x=0.01, ha="left", fontsize=15, fontweight="bold")
     return page
+
+
+def _curve(path: Path, seeds: int) -> tuple[np.ndarray, np.ndarray]:
+    """Simulator steps and the mean return of the seeds in a metrics.csv; empty where its rows are lost or
+    damaged."""
+    try:
+        metrics = log.read_csv(path, seeds)
+        steps, returns = metrics["sim_steps"], metrics["episode_return"]
+        return steps, np.reshape(returns, (len(steps), -1)).mean(1)
+    except (KeyError, ValueError):
+        return np.zeros(0), np.zeros(0)
 
 
 def _ends(shown: list[dict[str, Any]]) -> str:

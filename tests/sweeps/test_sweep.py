@@ -17,7 +17,7 @@ from dynappo.policy import checkpoint_file, policy_source
 from dynappo.program import build, devices
 from dynappo.run import learning_curves, training
 from dynappo.run import loop as loop_lib
-from dynappo.sweeps import folder, grid
+from dynappo.sweeps import folder, grid, table
 from dynappo.sweeps import sweep as sweeps
 from dynappo.train import command as train_command
 
@@ -171,6 +171,52 @@ def test_a_sweep_that_has_ended_is_only_told_again(whole, tmp_path, stop, capsys
     sweep(workdir, stop, **WHOLE)
     said = capsys.readouterr().out
     assert "its policy is" in said and "see it: " not in said
+
+
+SUMMARIES = [
+    "{",
+    "[]",
+    '{"iterations": 4}',
+    '{"iterations": 4, "sim_steps": null, "seconds": 1}',
+    '{"iterations": 4, "sim_steps": 8, "seconds": "long"}',
+    '{"iterations": 4, "sim_steps": 8, "seconds": 1, "return": {}}',
+    '{"iterations": 4, "sim_steps": 8, "seconds": 1, "evaluation": 3}',
+    '{"iterations": 4, "sim_steps": 8, "seconds": 1, "evaluation": {"return": ["x"]}}',
+]
+
+
+@pytest.mark.parametrize("text", SUMMARIES)
+def test_a_damaged_summary_is_none(whole, tmp_path, text):
+    """Such a combination is summed up again."""
+    workdir = shutil.copytree(whole, tmp_path / "sweep")
+    one = asked(SWEEP, **WHOLE).combinations[1]
+    assert folder.summary(workdir, one)
+    (workdir / one.name / "summary.json").write_text(text)
+    assert folder.summary(workdir, one) == {}
+    assert table.row(workdir, one)["note"] == "at iteration 4"
+
+
+def test_a_lost_file_of_a_combination_is_written_again(whole, tmp_path, stop, capsys):
+    """Rows that are lost stay empty; the table is as before."""
+    workdir = shutil.copytree(whole, tmp_path / "sweep")
+    for name, lost in zip(NAMES, ("metrics.csv", "policy.npz", "summary.json"), strict=False):
+        (workdir / name / lost).unlink()
+    (workdir / NAMES[3] / "metrics.csv").write_text("hello\n")  # whose curve the picture lacks
+    (workdir / "policy.npz").unlink()
+    sweep(workdir, stop, **WHOLE)
+    said = capsys.readouterr().out.replace("\n", " ")
+    assert "1 are done" in said and "stay empty" in said
+    for name in NAMES:
+        assert {p.name for p in (workdir / name).iterdir()} >= {
+            p.name for p in (whole / name).iterdir()
+        }
+    rows = [list(csv.DictReader((w / "sweep.csv").open())) for w in (workdir, whole)]
+    for one, other in zip(*rows, strict=True):
+        for name in ("folder", "return_mean", "fall_rate", "sim_steps"):
+            assert one[name] == other[name]
+    best = workdir / rows[0][0]["folder"] / "policy.npz"
+    assert (workdir / "policy.npz").read_bytes() == best.read_bytes()
+    assert not [*workdir.glob("*.part")]
 
 
 def test_a_sweep_that_was_stopped_goes_on_to_the_same_bits(
