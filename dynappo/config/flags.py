@@ -181,10 +181,12 @@ def load_both(spec: str | None, rest: list[str], flag: str = "--config"):
     return config, get_env
 
 
-def load_run(workdir: Path, rest: list[str]):
-    """The config of the run in `workdir`, with every flag of `rest`; not validated."""
+def load_run(workdir: Path, rest: list[str], kept: str = ""):
+    """The config of the run in `workdir`, with every flag of `rest`; not validated. `kept` replaces a config.json
+    that is lost."""
     try:
-        config = config_lib.from_json((workdir / "config.json").read_text(encoding="utf-8"))
+        text = kept or (workdir / "config.json").read_text(encoding="utf-8")
+        config = config_lib.from_json(text)
     except UnicodeDecodeError:
         raise ConfigError(f"{workdir}/config.json: it is not text") from None
     except ConfigError as error:

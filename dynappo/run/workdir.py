@@ -233,6 +233,21 @@ def _about_newest(workdir: Path) -> dict:
     return {}
 
 
+def kept_config(workdir: Path) -> str:
+    """The config in the newest good checkpoint of a run whose config.json is lost, as JSON; "" of no run.
+
+    ConfigError where the run has no such checkpoint.
+    """
+    if not os.path.isdir(workdir) or not begun(workdir):
+        return ""
+    if kept := _about_newest(workdir).get("config"):
+        return json.dumps(kept)
+    raise ConfigError(
+        f"--workdir={workdir}: its config.json is lost, and there is no good checkpoint that has it; put it "
+        "back, or start over with --config=NAME --fresh, which moves that run aside"
+    )
+
+
 def begun(workdir: Path) -> bool:
     """Whether a run has left results here: a checkpoint, also a damaged one, or a row of metrics."""
     if saved(workdir) or any(workdir.glob("damaged-*")):

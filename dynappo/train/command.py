@@ -114,6 +114,8 @@ def parse(argv: list[str] | None) -> Command:
         (config, swept), get_env = sweep_folder.load(known.workdir, rest), None
     elif here and not swept and os.path.isfile(known.workdir / "config.json"):
         config, get_env = flags.load_run(known.workdir, rest), None
+    elif here and not swept and (kept := workdir_lib.kept_config(known.workdir)):
+        config, get_env = flags.load_run(known.workdir, rest, kept), None
     elif here and not swept:
         raise config_lib.ConfigError(workdir_lib.no_run(known.workdir))
     else:

@@ -18,10 +18,12 @@ from toy_policy import GO1, params_in
 from toy_runs import assert_same
 from workdirs import opened
 
+from dynappo import config as config_lib
 from dynappo import train
 from dynappo.program import build
 from dynappo.run import checkpoint, finish, restore
 from dynappo.run import workdir as workdir_lib
+from dynappo.train import command as train_command
 
 OTHER = workdirs.config(ppo__clip_epsilon=0.3)
 HELD = f"pid {os.getpid()} on {socket.gethostname()}"
@@ -157,6 +159,9 @@ def test_a_lost_config_is_that_of_the_checkpoint(whole, config, tmp_path, text):
     path = workdir / "config.json"
     path.unlink() if text == "gone" else path.write_bytes(text.encode(errors="surrogateescape"))
     assert "ppo.clip_epsilon 0.2 there, 0.3 here" in refused(opened, workdir, OTHER)
+    if text == "gone":  # `--workdir` alone finds it too
+        found = train_command.parse([f"--workdir={workdir}", "--config.run.log_every=1"]).config
+        assert config_lib.flat(found) == config_lib.flat(config) | {"run.log_every": 1}
     opened(workdir, config)
     assert path.read_bytes() == whole.files["config.json"]
 
@@ -165,6 +170,9 @@ def test_without_config_and_checkpoints_nobody_knows_what_the_rows_are_of(config
     """Rows alone are a run too, and it is not overwritten."""
     (tmp_path / "metrics.csv").write_text("iteration,seconds\n1,2\n")
     assert "its config.json cannot be read" in refused(opened, tmp_path, config)
+    line = refused(train_command.parse, [f"--workdir={tmp_path}"])
+    assert "its config.json is lost, and there is no good checkpoint that has it" in line
+    opened(tmp_path, config, fresh=True)
 
 
 def test_the_run_that_networks_come_from_is_remembered(whole, config, tmp_path):
