@@ -182,8 +182,10 @@ def load_both(spec: str | None, rest: list[str], flag: str = "--config"):
 
 
 def load_run(workdir: Path, rest: list[str], kept: str = ""):
-    """The config of the run in `workdir`, with every flag of `rest`; not validated. `kept` replaces a config.json
-    that is lost."""
+    """The config of the run in `workdir`, with every flag of `rest`; not validated.
+
+    `kept` is its text where the file is lost.
+    """
     try:
         text = kept or (workdir / "config.json").read_text(encoding="utf-8")
         config = config_lib.from_json(text)

@@ -171,8 +171,8 @@ def check_saved(run: OpenRun, robot, state, say) -> None:
             then = "goes on from the one before" if before else "starts anew"
             room = "make room; " if log.errno_of(error) in ROOM else ""
             raise OSError(
-                f"{workdir}: the checkpoint of iteration {done} could not be saved ({log.reason(error)}), "
-                f"all else is there; {room}the same command {then}"
+                f"{workdir}: the checkpoint of iteration {done} could not be saved ({log.reason(error)}); "
+                f"{room}the same command {then}"
             ) from None
 
     distributed.on_first(check)

@@ -20,6 +20,7 @@ from workdirs import opened
 
 from dynappo import config as config_lib
 from dynappo import train
+from dynappo.policy import policy_file
 from dynappo.program import build
 from dynappo.run import checkpoint, finish, restore
 from dynappo.run import workdir as workdir_lib
@@ -193,11 +194,11 @@ def test_the_run_that_networks_come_from_is_remembered(whole, config, tmp_path):
 
 
 FAULTS = {  # what is in the way of the last checkpoint, what the line says of it
-    OSError(errno.ENOSPC, "No space left on device"): "(No space left on device), ",
-    OSError(errno.EDQUOT, "Disk quota exceeded"): "(Disk quota exceeded), ",
+    OSError(errno.ENOSPC, "No space left on device"): "(No space left on device); ",
+    OSError(errno.EDQUOT, "Disk quota exceeded"): "(Disk quota exceeded); ",
     ValueError("OUT_OF_RANGE: Failed to write 9 bytes [os_error_code='28']"): "(No space left",
-    OSError(errno.EROFS, "Read-only file system"): "(Read-only file system), ",
-    ValueError("Cannot save arrays with zero size: x"): "(Cannot save arrays with zero size: x), ",
+    OSError(errno.EROFS, "Read-only file system"): "(Read-only file system); ",
+    ValueError("Cannot save arrays with zero size: x"): "(Cannot save arrays with zero size: x); ",
 }
 
 
@@ -232,6 +233,29 @@ def test_a_last_checkpoint_that_is_not_there_is_saved_once_more(
     finish.check_saved(*at)
     texts = [p / "about" / "metadata" for p in (workdir / "checkpoints" / "4", tmp_path / "4")]
     assert texts[0].read_bytes() == texts[1].read_bytes()
+
+
+@pytest.mark.parametrize("saved", [True, False])
+def test_where_the_policy_finds_no_room_either_the_lost_checkpoint_is_told(
+    whole, config, program, tmp_path, monkeypatch, saved
+):
+    """It weighs more than policy.npz, which it has too; where it is good, policy.npz is told."""
+    workdir = shutil.copytree(whole.workdir, tmp_path / "run")
+    workdirs.toy(monkeypatch)
+    monkeypatch.setattr(build, "program", lambda *_, **__: program())
+
+    def fails(*_, **__):
+        raise OSError(errno.EFBIG, "File too large", "policy.npz")
+
+    monkeypatch.setattr(policy_file, "save", fails)
+    if not saved:
+        shutil.rmtree(workdir / "checkpoints" / "4")
+        monkeypatch.setattr(checkpoint, "save", fails)
+    lost = "the checkpoint of iteration 4 could not be saved (File too large); the same command goes on"
+    with pytest.raises(OSError) as caught:
+        train.train(config, workdir)
+    assert (lost in str(caught.value)) is not saved
+    assert (caught.value.filename == "policy.npz") is saved
 
 
 @pytest.mark.parametrize("text", ['{"layers": 3}', "[1]", "{"])
