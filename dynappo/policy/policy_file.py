@@ -295,7 +295,15 @@ def _arrays(path: Path) -> dict[str, np.ndarray]:
     except DAMAGE as error:
         if isinstance(error, ConfigError):
             raise
-        raise ConfigError(f"{path}: not a policy.npz, or damaged") from None
+        raise ConfigError(f"{path}: not a policy.npz, or damaged; {_instead(path)}") from None
+
+
+def _instead(path: Path) -> str:
+    """What to name in place of a damaged file: the newest checkpoint of its run, if it is of one."""
+    folder = path.parent / "checkpoints"
+    if saved := checkpoint_file.iterations(folder):
+        return f"name {folder / str(saved[0])}, a checkpoint of its run, which has the policy too"
+    return "expected a policy.npz as training writes it"
 
 
 def bundled(name: str) -> Path:

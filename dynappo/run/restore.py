@@ -13,7 +13,7 @@ import numpy as np
 
 from dynappo import config as config_lib
 from dynappo import schedule
-from dynappo.config import ConfigError, files
+from dynappo.config import ConfigError, files, shell
 from dynappo.policy import checkpoint_file, checks, policy_file, policy_source
 from dynappo.program import distributed
 from dynappo.run import workdir as workdir_lib
@@ -156,13 +156,17 @@ def check(source: Path, config) -> None:
             f"--restore={source}: ppo.symmetry is False there, True here, and its policy is not its own "
             "mirror image; set --config.ppo.symmetry=False"
         )
-    for name in names:
-        one, other = (d[name] for d in (there if name in there else here, here))
-        if np.ravel(one).tolist() != np.ravel(other).tolist():
-            raise ConfigError(
-                f"--restore={source}: {name} is {one} there, {other} here; "
-                "set what that run has (its config.json says it)"
-            )
+    apart = [
+        name
+        for name in names
+        if np.ravel(there.get(name, here[name])).tolist() != np.ravel(here[name]).tolist()
+    ]
+    if apart:
+        name = apart[0]
+        raise ConfigError(
+            f"--restore={source}: {name} is {there[name]} there, {here[name]} here; set what that run has: "
+            + " ".join(_flag(name, there[name]) for name in apart)
+        )
     own = policy_source.of_name(config.robot)
     if robot and own and robot.joint_names != own.joint_names:
         if sorted(robot.joint_names) == sorted(own.joint_names):
@@ -173,11 +177,20 @@ def check(source: Path, config) -> None:
             )
 
 
+def _flag(name: str, value: Any) -> str:
+    """The flag that sets a field, for the shell; JSON has lists for tuples."""
+    text = str(tuple(value) if isinstance(value, list) else value).replace(" ", "")
+    return shell.quoted(f"--config.{name}={text}")
+
+
 def about(source: Path) -> tuple[dict[str, Any], Any]:
     """`(config by dotted names, robot)` of what a run starts from; of the robot, None where it is not known,
     only `joint_names` and `default_pose` are to be read."""
     if source.is_file():
-        policy = policy_file.load(source)
+        try:
+            policy = policy_file.load(source)
+        except ConfigError as error:  # its text begins with the path
+            raise ConfigError(f"--restore={error}") from None
         return config_lib.flat(policy.config), policy
     one = (source / checkpoint_file.STATE).is_dir()
     for folder in [source] if one else [source / "checkpoints" / str(s) for s in saved(source)]:

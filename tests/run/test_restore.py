@@ -1,6 +1,7 @@
 """`--restore`: a run that starts from the networks of another, in whose folder nothing is changed."""
 
 import pathlib
+import shlex
 import shutil
 
 import jax
@@ -9,9 +10,11 @@ import numpy as np
 import pytest
 import workdirs
 from answers import refused
+from ml_collections import ConfigDict
 from toy_runs import assert_same
 
 from dynappo import config as config_lib
+from dynappo.config import flags as flags_lib
 from dynappo.learner import ppo
 from dynappo.policy import checkpoint_file, policy_file
 from dynappo.program import build
@@ -168,4 +171,28 @@ def test_networks_of_another_size_are_refused_before_anything_is_done(whole, con
     restore.check(whole.workdir, config)
     fields, said = SIZES[name]
     line = refused(restore.check, whole.workdir, workdirs.config(**fields))
-    assert line.startswith(f"--restore={whole.workdir}: {said}") and "set what that run has" in line
+    assert line.startswith(f"--restore={whole.workdir}: {said}")
+    flags = shlex.split(line.partition("set what that run has: ")[2])
+    assert all(flag.startswith("--config.") for flag in flags)
+    same = ConfigDict(workdirs.config(**fields).to_dict())
+    flags_lib.set_fields(same, flags)
+    restore.check(whole.workdir, same)
+
+
+def test_a_bundled_policy_of_another_task_says_which_flags_it_needs(tmp_path):
+    """All at once; a file of another kind is told with the flag, and which of its run to take."""
+    source = pathlib.Path("robots/go1/deploy.npz")
+    config = config_lib.load("go1:laptop")
+    line = refused(restore.check, source, config)
+    assert line.startswith(f"--restore={source}: task.observation is onboard there, full here; set")
+    flags = shlex.split(line.partition("set what that run has: ")[2])
+    assert flags[:2] == ["--config.task.observation=onboard", "--config.task.history=5"]
+    flags_lib.set_fields(config, flags)
+    restore.check(source, config)
+    (tmp_path / "config.json").write_text("{}")
+    other = f"--restore={tmp_path}/config.json: not a policy.npz, or damaged; "
+    line = refused(restore.check, tmp_path / "config.json", config)
+    assert line == f"{other}expected a policy.npz as training writes it"
+    (tmp_path / "checkpoints" / "40").mkdir(parents=True)
+    line = refused(restore.check, tmp_path / "config.json", config)
+    assert line.startswith(f"{other}name {tmp_path}/checkpoints/40, a checkpoint of its run")
