@@ -251,14 +251,13 @@ def _finish(trained: Trained, program: Program, callbacks: Callbacks) -> None:
     for i in trained.good:
         one, state = trained.runs[i], part(trained.state, i)
         own = part(evaluation, i)
-        check_saved = partial(finish.check_saved, one, program.robot, state, callbacks.say)
         try:
             summary = finish.finish(one, program, state, own, callbacks.say, seconds)
         except (
             OSError
         ):  # as of a full disk, on which the checkpoint may be lost too: that weighs more
-            check_saved()
+            finish.check_saved(one, program.robot, state, callbacks.say)
             raise
         if distributed.first():
             callbacks.finished(one.config, one.workdir, summary)
-        check_saved()
+        finish.check_saved(one, program.robot, state, callbacks.say)
