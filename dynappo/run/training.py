@@ -253,9 +253,8 @@ def _finish(trained: Trained, program: Program, callbacks: Callbacks) -> None:
         own = part(evaluation, i)
         try:
             summary = finish.finish(one, program, state, own, callbacks.say, seconds)
-        except (
-            OSError
-        ):  # as of a full disk, on which the checkpoint may be lost too: that weighs more
+        except OSError:
+            # a full disk: that the checkpoint is lost, too, weighs more
             finish.check_saved(one, program.robot, state, callbacks.say)
             raise
         if distributed.first():
