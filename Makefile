@@ -21,7 +21,7 @@ train: $(VENV)/.train  ## train a Go1 on two CPU cores, three to seven minutes w
 
 # A file stays in one of the two processes: its tests share compiled programs. conftest.py, not xdist, says
 # which comes first. Bytecode is written whatever the environment says: some sixty processes import JAX
-test: $(VENV)/.dev  ## run the tests, seven to fourteen minutes on two idle cores (the slow ones: .venv/bin/pytest -m slow; 2000 bad inputs: -m fuzz)
+test: $(VENV)/.dev  ## run the tests, seven to fifteen minutes on two idle cores (the slow ones: .venv/bin/pytest -m slow; 2000 bad inputs: -m fuzz)
 	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 check: $(VENV)/.dev  ## lint, format, types and spelling: what must be clean before a commit

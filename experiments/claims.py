@@ -52,7 +52,7 @@ STARTS = "an H200 and slower hosts", "2026-11-24", "", "experiments/03_speed/ker
 
 MEASURED = [  # name, value, unit, hardware, date, commit, source
     ("make train", "three to seven", "minutes", *CORES, "b9cc75e", f"a clock; {LAPTOP}"),
-    ("make test", "seven to fourteen", "minutes", CORES[0], "2026-11-28", "7f2328c6", "a clock"),
+    ("make test", "seven to fifteen", "minutes", CORES[0], "2026-11-29", "edcf353b", "a clock"),
     ("notebooks", "ten", "minutes", "two CPU cores", "not noted", "", "a clock"),
     ("evaluate", "a minute or two", "", "two CPU cores", "not noted", "", "a clock"),
     ("start, cold", "20 to 35", "s", *STARTS),
