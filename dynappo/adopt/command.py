@@ -101,7 +101,9 @@ def check_free(name: str, force: bool) -> tuple[Path, Path]:
     robot, _, kind = name.rpartition("_")
     theirs = ("configs", f"{name}.py"), ("robots", f"{name}/{name}.xml")
     theirs += (("robots", f"{robot}/{kind}.npz"),) * (kind in files.MORE)
-    if any(files.find(*path, own=True) for path in theirs):
+    found = [files.find(*path, own=True) for path in theirs]
+    # in a clone, robots that were adopted before lie among dynappo's own
+    if any(path and writing.ADOPTED.encode() not in path.read_bytes() for path in found):
         raise ConfigError(f"--name={name}: dynappo has that itself; take another name")
     for path in (folder, config):
         if path.exists() and not force:

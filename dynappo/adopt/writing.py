@@ -21,6 +21,7 @@ GO1_TORQUE_WEIGHT, GO1_MASS = 2e-4, 13.0  # of squared torques; kg
 START_HEIGHT = 0.05  # m over the default pose, where episodes start
 MASS_VARIES = 0.1  # of the robot's mass, by which the base's varies
 BASE_VARIES_MOST = 0.3  # of the base's own mass
+ADOPTED = "adopted from"  # in what adopt writes, and in no other robot's files
 HEAD = '''"""{name} on flat ground, adopted from {file}.
 
     python -m dynappo.look configs/{name}.py

@@ -15,6 +15,7 @@ from answers import mistake, refused, shell, status
 
 from dynappo import config as config_lib
 from dynappo.adopt import command, source
+from dynappo.config import files
 from dynappo.description import motors
 from dynappo.description import robot as robot_lib
 from dynappo.physics.warp import scope
@@ -173,6 +174,11 @@ def test_nothing_is_written_over(adopted, tmp_path, monkeypatch, capsys):
     assert "robots/toy is there already" in mistake_after(file, capsys)
     assert Path("robots/toy/README.md").read_text() == "old"
     assert run(file, "--force") == 0 and "old" != Path("robots/toy/README.md").read_text()
+    monkeypatch.setattr(files, "PACKAGE", tmp_path / "dynappo")  # as in a clone of dynappo
+    assert command.check_free("toy", force=True) == (Path("robots/toy"), Path("configs/toy.py"))
+    assert "there already" in refused(command.check_free, "toy", force=False)
+    Path("configs/toy.py").write_text("dynappo's own")
+    assert "dynappo has that itself" in refused(command.check_free, "toy", force=True)
 
 
 def mistake_after(file, capsys):
