@@ -33,21 +33,7 @@ def start_from(
 
     `workdir/restored_from` then also names the checkpoint that was taken.
     """
-
-    def read(like):
-        model = like.model
-        if model is not None and config.model.symmetry:
-            there, _ = about(folder)
-            if not there.get("model.symmetry", False) and there.get("schedule.end_steps"):
-                say(
-                    f"--restore={folder}: model.symmetry is False there, True here, so its transition model "
-                    "is not its own mirror image; it starts untrained"
-                )
-                like = like.replace(model=None)
-        taken, found = weights(folder, like, say)
-        return taken, found.replace(model=model) if found.model is None else found
-
-    taken, state = distributed.from_first(read, state)
+    taken, state = distributed.from_first(lambda like: weights(folder, config, like, say), state)
     if distributed.first():
         say(f"starts from {folder}, {taken}")
         files.write_text(workdir / "restored_from", f"{folder.resolve()}\n{taken}\n")
@@ -79,28 +65,38 @@ def source(workdir: Path, given: Path | None) -> Path | None:
     return Path(found) if found else None
 
 
-def weights(source: Path, like: Any, say: Callable[[str], None] = print) -> tuple[str, Any]:
-    """`(what was read, the state like with the networks of another run)`.
+def weights(source: Path, config, like: Any, say: Callable[[str], None] = print) -> tuple[str, Any]:
+    """`(what was read, the state like, of a run of config, with the networks of another run)`.
 
     `source` is a workdir, of which the newest good checkpoint is read, a checkpoint's folder, or a
     policy.npz; nothing is changed there. The policy, the value function and, if both runs have one, the
     transition model with its moments are taken; optimisers, learning rate and robots start anew. A policy.npz
-    may lack the value function, and serves every seed. `say` reports what was passed over or is missing.
-    ConfigError if nothing can be read, or a network has another shape.
+    may lack the value function, and serves every seed. A model that is to treat left and right alike
+    (`model.symmetry`) is taken only from a run whose model did. `say` reports what was passed over or is
+    missing. ConfigError if nothing can be read, or a network has another shape.
     """
     there, name = _read(source, say)
     alone = not any(name.startswith("learner/params/critic") for name in there)
     params = like.learner.params
     if alone:
+        first = config.ppo.value_first
+        then = f"learns for {first} iterations (ppo.value_first) before the policy does"
+        then = then if first else "the policy learns with it at once: ppo.value_first is 0"
         say(
-            f"--restore={source} holds a policy alone: its value function starts untrained, and learns for "
-            "ppo.value_first iterations before the policy does"
+            f"--restore={source} holds a policy alone: its value function starts untrained, and {then}"
         )
     some = {name: part for name, part in params.items() if not (alone and name == "critic")}
     found = _taken(source, some, there, "policy", "learner/params")
     learner = like.learner.replace(params=params | found)
     model = like.model
-    if model is not None and any(name.startswith("model/") for name in there):
+    if model is None or not any(name.startswith("model/") for name in there):
+        pass
+    elif config.model.symmetry and not about(source)[0].get("model.symmetry"):
+        say(
+            f"--restore={source}: model.symmetry is False there, True here, so its transition model is not "
+            "its own mirror image; it starts untrained"
+        )
+    else:
         parts = {
             name: _taken(source, getattr(model, name), there, f"model.{name}", f"model/{name}")
             for name in ("params", "inputs", "targets")

@@ -138,7 +138,7 @@ def run(to: Path, args, case: str, seconds: int, seed: int) -> None:
         if state is None:
             source = args.restore or policy_source.locate(POLICY)
             restore.check(source, valid)
-            first = restore.weights(source, program.state)[1]
+            first = restore.weights(source, valid, program.state)[1]
         else:
             first = program.state.replace(learner=state.learner, model=state.model)
         state, steps = program.place(first), schedule.sim_steps(valid)

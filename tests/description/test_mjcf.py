@@ -152,4 +152,5 @@ def test_an_attribute_that_mujoco_will_drop_warns_nobody(tmp_path):
     (tmp_path / "mine.xml").write_text(top('<statistic meaninertia="0.05"/>'))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        robot.load_xml(tmp_path / "mine.xml")
+        found = robot.load_xml(tmp_path / "mine.xml")
+    assert found.foot_names

@@ -33,7 +33,7 @@ def test_another_run_starts_from_the_networks(program, config, whole, tmp_path):
         assert_same(getattr(state.model, part), getattr(whole.state.model, part))
     assert_same(state.learner.opt_state, fresh.learner.opt_state)
     assert_same(state.env_state, fresh.env_state)
-    _, plain = restore.weights(whole.workdir, fresh.replace(model=None), pytest.fail)
+    _, plain = restore.weights(whole.workdir, config, fresh.replace(model=None), pytest.fail)
     assert plain.model is None
     assert_same(plain.learner.params, whole.state.learner.params)
     written = (tmp_path / "restored_from").read_text()
@@ -61,7 +61,7 @@ def test_a_run_with_a_source_trains_from_there(config, program, whole, tmp_path,
     """To the bits of a program whose first state has these networks; where it resumes, the source is past."""
     monkeypatch.setattr(build, "program", lambda *_, **__: program())
     monkeypatch.setattr(learning_curves, "draw", lambda *_: "no picture")
-    _, start = restore.weights(whole.workdir, program().state, pytest.fail)
+    _, start = restore.weights(whole.workdir, config, program().state, pytest.fail)
     expected, _, _ = workdirs.loop(config, program()._replace(state=start))
     run, said = training.Run(config, tmp_path / "run", source=whole.workdir), []
     callbacks = training.Callbacks(say=said.append)
@@ -75,7 +75,7 @@ def test_a_run_with_a_source_trains_from_there(config, program, whole, tmp_path,
 def test_a_checkpoint_of_it_may_be_named(program, whole, config):
     """Against a run that goes on from that one; what was taken is told."""
     older = whole.workdir / "checkpoints" / "2"
-    taken, state = restore.weights(older, program().state, pytest.fail)
+    taken, state = restore.weights(older, config, program().state, pytest.fail)
     arrays = checkpoint_file.read(older)
     np.testing.assert_array_equal(state.learner.params["std"], arrays["learner/params/std"])
     assert (state.learner.params["std"] != whole.state.learner.params["std"]).any()
@@ -86,14 +86,14 @@ def test_a_checkpoint_of_it_may_be_named(program, whole, config):
 @pytest.mark.parametrize("seeds", [1, 3])
 def test_a_policy_file_is_where_every_seed_may_start(program, seeds):
     """The bundled Go1: its policy in every seed; its value function is not in the file, and stays new."""
-    config = config_lib.load("go1:ppo16")
+    config = config_lib.load("go1:few")  # whose model is symmetric: the file has none
     static, hyper = config_lib.split(config_lib.validate(config))
     keys = jax.random.split(jax.random.key(0), seeds)
     new = jax.jit(jax.vmap(lambda key: ppo.init(static, hyper, 48, 12, key)))(keys)
     new = jax.tree.map(lambda x: x[0], new) if seeds == 1 else new
-    like, said = program().state.replace(learner=new, model=None), []
+    like, said = program().state.replace(learner=new), []
     file = pathlib.Path("robots/go1/policy.npz")
-    taken, state = restore.weights(file, like, said.append)
+    taken, state = restore.weights(file, config, like, said.append)
     learner = state.learner
     expected = policy_file.load(file).params
     for name in ("actor", "std"):
@@ -102,7 +102,13 @@ def test_a_policy_file_is_where_every_seed_may_start(program, seeds):
         ):
             np.testing.assert_array_equal(ours, np.broadcast_to(theirs, ours.shape))
     assert_same(learner.params["critic"], new.params["critic"])
-    assert "value function starts untrained" in said[0] and taken == "policy.npz"
+    assert_same(state.model, like.model)
+    (line,) = said
+    assert "value function starts untrained" in line and taken == "policy.npz"
+    assert line.endswith("the policy learns with it at once: ppo.value_first is 0")
+    config.ppo.value_first = 20
+    restore.weights(file, config, like, said.append)
+    assert said[1].endswith("and learns for 20 iterations (ppo.value_first) before the policy does")
 
 
 def test_a_policy_of_another_activation_is_refused():
@@ -114,20 +120,20 @@ def test_a_policy_of_another_activation_is_refused():
     assert f"ppo.activation is {activation} there, tanh here" in line
 
 
-def test_networks_of_another_size_or_none_are_refused(program, whole, tmp_path):
+def test_networks_of_another_size_or_none_are_refused(program, config, whole, tmp_path):
     """One line with the flag, what was found and what was expected."""
     fresh = program().state
     wide = fresh.learner.params | {"std": jnp.zeros(13)}
     other = fresh.replace(learner=fresh.learner.replace(params=wide))
-    line = refused(restore.weights, whole.workdir, other)
+    line = refused(restore.weights, whole.workdir, config, other)
     assert line.startswith(f"--restore={whole.workdir}: policy std is of shape (2,) there")
     assert "of shape (13,) here" in line
-    assert "no checkpoints/ there" in refused(restore.weights, tmp_path, fresh)
+    assert "no checkpoints/ there" in refused(restore.weights, tmp_path, config, fresh)
     (tmp_path / "checkpoints").mkdir()
-    assert "it holds no checkpoint yet" in refused(restore.weights, tmp_path, fresh)
+    assert "it holds no checkpoint yet" in refused(restore.weights, tmp_path, config, fresh)
 
 
-def test_the_run_that_another_starts_from_is_only_read(program, whole, tmp_path):
+def test_the_run_that_another_starts_from_is_only_read(program, config, whole, tmp_path):
     """A save of it that is in progress stays, so does a damaged checkpoint; the one before is taken."""
     other, said = tmp_path / "other", []
     shutil.copytree(whole.workdir, other)
@@ -139,7 +145,7 @@ def test_the_run_that_another_starts_from_is_only_read(program, whole, tmp_path)
     about.write_text(about.read_text().replace('"iteration": 4', '"iteration": 5'))
     workdirs.other_hash(folder / "5")
     before = workdirs.everything(other)
-    _, state = restore.weights(other, program().state, said.append)
+    _, state = restore.weights(other, config, program().state, said.append)
     assert_same(state.learner.params, whole.state.learner.params)
     assert workdirs.everything(other) == before
     assert [line.split(":")[0] for line in said] == [str(folder / "6"), str(folder / "5")]
@@ -147,7 +153,7 @@ def test_the_run_that_another_starts_from_is_only_read(program, whole, tmp_path)
     assert "its numbers are not those that were saved" in said[1]
     for step in ("2", "4"):
         workdirs.other_hash(folder / step)
-    line = refused(restore.weights, other, program().state)
+    line = refused(restore.weights, other, config, program().state)
     assert line.startswith(f"--restore={other}: none of its 4 checkpoints can be read")
 
 
