@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 import scipy.stats
-from result_files import EXPERIMENTS, cells, few_jobs, few_of, script, shows
+from result_files import EXPERIMENTS, cells, few_jobs, few_of, less, script, shows
 
 from dynappo import config as config_lib
 from dynappo import schedule
@@ -98,23 +98,29 @@ def test_what_may_be_the_default_has_the_settings_of_256_robots_in_both_files():
         job, *fields = jobs[f"default-{robot}"].split()
         rows = schedule.sim_steps(measure.read(job, fields).config)[-1] / 256
         assert rows <= mine["model.memory"] < rows + 20
-        if timed := seconds.get(f"default-{robot}"):
-            its, best = settings(timed), settings(seconds[f"best-{robot}"])
-            assert {k for k in mine if mine[k] != its[k]} <= longer | runs
-            assert (
-                its["run.seed"] == best["run.seed"]
-                and its["run.log_every"] == best["run.log_every"]
-            )
-            assert best["rollout.num_envs"] == 1024 and not best["model.memory"]
-    assert seconds.keys() == {f"{name}-{x}" for name in ("default", "best") for x in "gc"}
+    mine = settings(jobs["default-g"])
+    for x, seed in (("g", 1300), ("g2", 1310)):  # in turn, twenty seeds of each in all
+        its, best = settings(seconds[f"default-{x}"]), settings(seconds[f"best-{x}"])
+        assert {k for k in mine if mine[k] != its[k]} <= longer | runs
+        assert its["run.seed"] == best["run.seed"] == seed
+        assert best["rollout.num_envs"] == 1024 and not best["model.memory"]
+    assert [*seconds] == [f"{name}-{x}" for x in ("g", "g2") for name in ("default", "best")]
+    assert all(line.split()[1] == "seeds=10" for line in seconds.values())
     with (EXPERIMENTS.parent / "docs/numbers.csv").open(newline="") as file:  # the rule's of `best`
         known = {row["name"]: row["value"] for row in csv.DictReader(file)}
     robots = "go1 go2 anymal_c anymal_d".split()
     told = [known[f"{x} first at {38 if x[:2] == 'go' else 24}"] for x in robots]
     walks = [known[f"{x} walks"] for x in robots]
     words = " ".join((folder / "README.md").read_text().split())
-    for some in (told, walks):
-        assert f"({', '.join(f'{float(x):.2f}' for x in some)} M)" in words
+    assert f"({', '.join(f'{float(x):.2f}' for x in told)} M)" in words
+    assert f"({', '.join(f'{float(x):.2f}' for x in walks)} M)" in words
+    table, best = less("headline")
+    ends = [
+        np.mean([[r["tracking_error"] for r in run[-4:]] for run in table.seeds(best[f"best-{x}"])])
+        for x in "ghcd"
+    ]
+    assert f"({', '.join(f'{x:.3f}' for x in ends)}, Go1, Go2, ANYmal-C, ANYmal-D)" in words
+
     page = (EXPERIMENTS.parent / "README.md").read_text()  # its table is held to the runs
     ends = re.findall(
         r"^\| (?:Go\d|ANYmal-\w) \| \*\*.* ([\d.]+) of \d+, [\d.]+ %.*\|$", page, re.M

@@ -312,12 +312,13 @@ def test_jobs_on_fresh_seeds_are_those_that_choose_takes(monkeypatch):
         assert (config.run.seed, config.run.num_seeds, config.run.eval_envs) == (1200, 10, 1000)
         at = schedule.sim_steps(config)[config.run.eval_every - 1 :: config.run.eval_every] / 1e6
         if line in rest:
-            late = np.flatnonzero(np.diff(at) > 0.2)[0]
+            late = 2 + np.flatnonzero(np.diff(at[2:]) > 0.02)[0]  # after the ramp of tails
             told = (
-                f"`best` {at[1] - at[0]:.3f} M until {at[late]:.2f} M, then {at[-1] - at[-2]:.3f} M"
+                f"`best` {at[4] - at[3]:.3f} M until {at[late]:.2f} M, then {at[-1] - at[-2]:.3f} M"
             )
-            assert told in WORDS and np.allclose(np.diff(at[: late + 1]), at[1] - at[0])
-            assert np.allclose(np.diff(at[late:]), at[-1] - at[-2])
+            assert told in WORDS and f"`best` ends at {at[-1]:.2f} M" in WORDS
+            assert np.allclose(np.diff(at[2 : late + 1]), at[4] - at[3])
+            assert np.allclose(np.diff(at[late + 1 :]), at[-1] - at[-2])
         else:
             assert f"PPO's are {at[0]:.3f} M apart" in WORDS and np.allclose(np.diff(at), at[0])
             assert f"up to {at[-1]:.2f} M, where PPO ends" in WORDS
