@@ -660,7 +660,7 @@ def test_slow_commands_that_bundled_policies_follow_are_as_the_pages_say(page):
 def test_jobs_of_fewer_steps_for_hardware_change_robots_and_tails_alone():
     """22_deploy/fewer.txt: the task is that of `deploy`, and PPO's and the model's settings are."""
     lines = (EXPERIMENTS / "22_deploy/fewer.txt").read_text().splitlines()
-    assert len({line.split()[0] for line in lines}) == len(lines) == 8
+    assert len({line.split()[0] for line in lines}) == len(lines) == 10
     for line in lines:
         _, job, *fields = line.split()
         mine, asked = config_lib.load(f"configs/{job.replace(':', '.py:')}"), {}
@@ -672,8 +672,9 @@ def test_jobs_of_fewer_steps_for_hardware_change_robots_and_tails_alone():
             asked[name] = value
         found = config_lib.flat(config_lib.validate(mine))
         changed = {name for name, x in found.items() if x != other[name] and name[:4] != "run."}
-        assert changed <= {"rollout.num_envs", "schedule.last_iteration"} and changed
-        assert schedule.sim_steps(mine)[-1] < 15e6  # PPO's are up to 20 M
+        assert changed <= {"rollout.num_envs", "schedule.last_iteration"}
+        assert bool(changed) != ("-deploy-" in line)  # `deploy` itself
+        assert schedule.sim_steps(mine)[-1] < 16e6  # PPO's are up to 20 M
 
 
 def test_the_bundled_policies_for_hardware_are_the_best_rows_of_their_file():

@@ -443,7 +443,10 @@ def test_the_table_of_settings_of_other_methods_is_the_printed_one(monkeypatch, 
     words = " ".join(part.split())
     assert "`crossq-gamma97` is first so far, and of SAC `sac-u16`" in words
     jobs = paper.jobs(EXPERIMENTS / "27_few/peers_tune.txt")
-    assert found.keys() - jobs.keys() == {"crossq-u512"} and len(jobs) == 23
+    assert found.keys() - jobs.keys() == {"crossq-u256", "crossq-u512", "sac-u256"}
+    assert f"(`{'`, `'.join(sorted(found.keys() - jobs.keys()))}`;" in words
+    assert [sum(job.startswith(x) for job in jobs.values()) for x in ("crossq ", "sac ")] == [12, 5]
+    assert "Of the 17 twelve are CrossQ's and five SAC's." in words
     ends = {
         name: {run[-1]["sim_steps"] for run in found[name].seeds} for name in found.keys() & jobs
     }
@@ -452,16 +455,14 @@ def test_the_table_of_settings_of_other_methods_is_the_printed_one(monkeypatch, 
     new = [name for name in jobs if name not in found]
     counts = ["", *"one two three four five six seven eight nine ten".split()]
     told = f"{counts[len(whole)].title()} are whole, {counts[len(ends) - len(whole)]} were cut off by the "
-    told += f"end of a call, and {counts[len(new)]} have not begun: "
-    told += ", ".join(f"`{name}`" for name in new[:-1]) + f" and `{new[-1]}`."
-    assert told in words
+    assert len(new) == 1 and f"{told}end of a call, and one has not begun: `{new[0]}`." in words
     assert f"# {len(jobs)} settings, {len(new)} not begun" in page
     told = (
         "`peers_tune.txt` has {} settings of CrossQ and SAC for 64 robots, each to {:.0f} k steps "
     )
     told = told.format(len(jobs), table.STEPS / 1e3)
-    told += f"(`crossq-u256` to {table.asked(jobs['crossq-u256']) / 1e3:.0f} k), on tuning seeds 0 and 1."
-    assert told in words and {table.asked(job) for job in jobs.values()} == {204_800, 102_400}
+    assert f"{told[:-1]}, on tuning seeds 0 and 1." in words
+    assert {table.asked(job) for job in jobs.values()} == {204_800}
     assert {run[0]["seed"] for one in found.values() for run in one.seeds} == {0, 1}
     assert f"counts with twice the {table.STEPS / 1e3:.0f} k steps" in words
     ends = [one.seeds[0][-1]["sim_steps"] / 1e3 for name, one in found.items() if name[:3] == "sac"]
@@ -477,11 +478,8 @@ def test_the_table_of_settings_of_other_methods_is_the_printed_one(monkeypatch, 
     for flag in (("width", "int", 1024), ("gamma", "float", 0.98), ("gain", "float", 1.5)):
         assert 'add_argument("--{}", type={}, default={}'.format(*flag) in source
     first = [x for line in (said[1], said[3]) for x in line.partition(": ")[2].split(", ")]
-    assert {*first} == {*new, "crossq-u256", "crossq-w2048", "sac-u256"}
-    assert (
-        "below the level before nine tenths of their steps: `crossq-u256`, `crossq-w2048` and"
-        in words
-    )
+    assert {*first} - {"none"} == {*new, "crossq-w2048"}
+    assert "below the level before nine tenths of its steps: `crossq-w2048`." in words
 
 
 def test_the_rule_of_the_choice_among_settings_of_other_methods():
@@ -526,16 +524,16 @@ def test_the_best_settings_of_other_methods_are_chosen_with_a_folder_of_runs(tmp
         path.write_text(head + "".join(f"x,{seed},{s},1,{back},0\n" for s in (100e3, last)))
 
     (tmp_path / "runs").mkdir()
-    with pytest.raises(SystemExit, match="crossq-u256, .* must run before the best crossq is"):
+    with pytest.raises(SystemExit, match="crossq-w2048 must run before the best crossq is"):
         peers.table.of_each_method(tmp_path / "runs", jobs)
     for name in paper.jobs(jobs):
         for seed in (0, 1):
             write(name, seed, 204_800, 30)
     for seed in (0, 1):
-        write("crossq-u256", seed, 204_800, 39)
-    (tmp_path / "runs/crossq-u256-1.csv").rename(tmp_path / "runs/crossq-u256-1.csv.part")
-    write("sac-lr3e4", 0, 204_800, 38.5)
-    with (tmp_path / "runs/crossq-u256-1.csv.part").open("a") as file:
+        write("crossq-u128", seed, 204_800, 39)
+    (tmp_path / "runs/crossq-u128-1.csv").rename(tmp_path / "runs/crossq-u128-1.csv.part")
+    write("sac-symmetric", 0, 204_800, 38.5)
+    with (tmp_path / "runs/crossq-u128-1.csv.part").open("a") as file:
         file.write("x,1,2048")
     sooner = tmp_path / "runs/crossq-w2048-0.csv"
     whole = sooner.read_text()
@@ -545,21 +543,21 @@ def test_the_best_settings_of_other_methods_are_chosen_with_a_folder_of_runs(tmp
         peers.table.of_each_method(tmp_path / "runs", jobs)
     (tmp_path / "crossq-w2048-1.csv").rename(tmp_path / "runs/crossq-w2048-1.csv")
     sooner.write_text(whole)
-    assert peers.table.of_each_method(tmp_path / "runs", jobs) == ["crossq-u256", "sac-lr3e4"]
+    assert peers.table.of_each_method(tmp_path / "runs", jobs) == ["crossq-u128", "sac-symmetric"]
     ran = []
     monkeypatch.setattr(peers, "start", lambda to, *rest: ran.append(to.stem))
     words = ["peers.py", str(tmp_path / "fresh"), str(jobs), "--best", str(tmp_path / "runs")]
     monkeypatch.setattr(sys, "argv", [*words, "--seeds", "100", "101", "102"])
     peers.main()
-    assert ran == ["crossq-u256-100-102", *(f"sac-lr3e4-{seed}" for seed in (100, 101, 102))]
+    assert ran == ["crossq-u128-100-102", *(f"sac-symmetric-{seed}" for seed in (100, 101, 102))]
     ran.clear()
     (
-        tmp_path / "runs/sac-lr3e4-0.csv"
+        tmp_path / "runs/sac-symmetric-0.csv"
     ).unlink()  # of one method, what the other lacks does not matter
     words = ["peers.py", str(tmp_path / "fresh"), str(jobs), "crossq", "--seeds", "100", "101"]
     monkeypatch.setattr(sys, "argv", [*words, "--best", str(tmp_path / "runs")])
     peers.main()
-    assert ran == ["crossq-u256-100-101"]
+    assert ran == ["crossq-u128-100-101"]
     with pytest.raises(SystemExit, match="ppo: no method, expected one of crossq, sac"):
         peers.table.of_each_method(tmp_path / "runs", jobs, ["ppo"])
 
@@ -700,7 +698,7 @@ def test_settings_of_other_methods_with_few_robots_are_as_the_page_says():
     )
     assert told in text
     told = f"at 38 after {spans[0]} to {spans[1]} k), SAC (2; in other settings {spans[2]} to {most} at"
-    assert told in text and "5 of 23 settings of CrossQ and SAC have not begun" in text
+    assert told in text and "**Not run**: symmetric SAC with 64 robots" in text
 
 
 def test_peers_have_the_task_of_a_config():
@@ -763,7 +761,7 @@ def test_settings_of_other_methods_for_few_robots_are_flags_of_theirs_and_runs_a
         flags = [word for word in [*given, *peers.COMMON.split()] if word.startswith("--")]
         assert all(f'add_argument("{flag}"' in source for flag in flags), line
         names.add(name)
-    assert len(names) == 23
+    assert len(names) == 17
     assert peers.groups("crossq --mirror", [0, 1]) == [(0, 2)]
     assert peers.groups("sac", [0, 1]) == [(0, 1), (1, 1)]
     with pytest.raises(SystemExit, match=r"--seeds is \[0, 2\], expected seeds that follow"):
