@@ -13,9 +13,6 @@ from __future__ import annotations
 
 import json
 import reprlib
-import tokenize
-import zipfile
-import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -29,6 +26,7 @@ from dynappo.config import fields as fields_lib
 from dynappo.description import robot as robot_lib
 from dynappo.policy import checkpoint_file, checks
 from dynappo.tasks.velocity import observe
+from dynappo.terrain import map_file
 from dynappo.terrain import scan as scan_lib
 
 # of `about`. 1 has no MJCF, and its robot is found by name; 3 has what 2 cannot say: numbers of each joint,
@@ -36,9 +34,6 @@ from dynappo.terrain import scan as scan_lib
 # for older readers
 READ = (1, 2, 3, 4, 5)
 MAX_BYTES = 2**27  # of all arrays together; a policy has less than 1 MiB
-# what NumPy says of a file that is no npz, or damaged
-DAMAGE = (ValueError, TypeError, EOFError, KeyError, RuntimeError, MemoryError, SyntaxError)
-DAMAGE += (zipfile.BadZipFile, zlib.error, tokenize.TokenError)
 MIN_STD = 1e-3  # of an input (learner/scaling.py)
 MAX_MEAN = 10.0  # of the mean action (learner/networks.py)
 ACTIVATIONS = {
@@ -292,7 +287,7 @@ def _arrays(path: Path) -> dict[str, np.ndarray]:
     except OSError as error:
         reason = error.strerror or "it is not an npz file"
         raise ConfigError(f"{path}: cannot be read ({reason})") from None
-    except DAMAGE as error:
+    except map_file.DAMAGE as error:
         if isinstance(error, ConfigError):
             raise
         raise ConfigError(f"{path}: not a policy.npz, or damaged; {_instead(path)}") from None

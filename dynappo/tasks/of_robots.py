@@ -13,8 +13,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from dynappo.config import ConfigError
 from dynappo.description import robot as robot_lib
-from dynappo.tasks.velocity import checks, log_file, own
+from dynappo.tasks.velocity import checks, log_file, observe, own
 
 if TYPE_CHECKING:  # it imports JAX
     from dynappo.types import Env
@@ -48,6 +49,13 @@ def logged(config, robot: robot_lib.Robot, env: Env) -> Env:
 
 
 def _log(config, robot: robot_lib.Robot) -> log_file.Log:
+    mine = observe.own(config.task.terms_about)
+    if mine:  # the log's observation would be shorter than what networks see
+        raise ConfigError(
+            f"run.logs is {config.run.logs!r}, expected '' where task.terms = {config.task.terms} adds "
+            f"{', '.join(each.name for each in mine)} to the observation, which no log tells; train from the "
+            "log without these terms"
+        )
     return log_file.load(config.run.logs, robot, config, config.run.logs_hash)
 
 

@@ -8,6 +8,10 @@ from __future__ import annotations
 
 import hashlib
 import io
+import struct
+import tokenize
+import zipfile
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +21,10 @@ from dynappo.terrain.height_map import HeightMap
 SUFFIXES = (".npy", ".png")
 HIGHEST = 100.0  # m, of a height above or below 0
 MOST = 10**8  # points
+# what NumPy says of an .npy or .npz that is none, or damaged. Here, because the readers of logs and policies
+# may import this module, and it none of theirs
+DAMAGE = (OSError, ValueError, TypeError, EOFError, KeyError, RuntimeError, MemoryError)
+DAMAGE += (SyntaxError, OverflowError, zipfile.BadZipFile, zlib.error, tokenize.TokenError)
 SIGNATURE, GREY = b"\x89PNG\r\n\x1a\n", 0  # of a PNG: how it begins, and its kind of colours
 
 
@@ -84,7 +92,7 @@ def _heights(file: Path, data: bytes, level: float) -> np.ndarray:
     if file.suffix.lower() == ".npy":
         try:
             found = np.load(io.BytesIO(data), allow_pickle=False)
-        except (ValueError, EOFError, OSError, SyntaxError, MemoryError):
+        except DAMAGE:
             found = None
         if not isinstance(found, np.ndarray) or found.dtype.kind not in "fiub":
             raise BadMap(f"{file}: expected an array of numbers, as numpy.save writes it")
@@ -101,7 +109,12 @@ def _heights(file: Path, data: bytes, level: float) -> np.ndarray:
         if picture.mode.startswith("I"):  # 16 bits
             return level * np.asarray(picture, float)
         red, green, blue, alpha = np.moveaxis(np.asarray(picture.convert("RGBA")), -1, 0)
-    except (UnidentifiedImageError, OSError, SyntaxError, ValueError, Image.DecompressionBombError):
+    except Image.DecompressionBombError:  # it is a picture; Pillow's limit is above ours
+        wide, high = struct.unpack(">II", data[16:24])
+        raise BadMap(
+            f"{file}: a picture of {wide} x {high} points, expected at most 100 million"
+        ) from None
+    except (UnidentifiedImageError, OSError, SyntaxError, ValueError):
         raise BadMap(f"{file}: expected a picture in the format PNG") from None
     if (red != green).any() or (red != blue).any():
         raise BadMap(

@@ -1,6 +1,5 @@
 """policy.npz: all that a robot needs, read back without JAX."""
 
-import io
 import json
 import struct
 import zipfile
@@ -12,6 +11,7 @@ import numpy as np
 import pytest
 from answers import refused
 from ml_collections import config_dict
+from npy_files import DAMAGED, header
 from toy_policy import ROBOTS, actor, described, params_in, save
 from toy_runs import assert_same
 
@@ -212,15 +212,7 @@ def test_a_hostile_description_is_one_line(saved, tmp_path, field, value, expect
     assert line.startswith(f"{path}: ") and line.isprintable() and expected in line
 
 
-def header(shape):
-    """An .npy whose header claims `shape`, with four numbers."""
-    out = io.BytesIO()
-    head = {"descr": "<f4", "fortran_order": False, "shape": shape}
-    np.lib.format.write_array_header_1_0(out, head)
-    return out.getvalue() + b"\0" * 16
-
-
-ENTRIES = {  # `std.npy` of a zip
+ENTRIES = DAMAGED | {  # `std.npy` of a zip
     "no array": b"not an array",
     "another version": b"\x93NUMPY\7\0" + b" " * 99,
     "4 TB": header((10**12,)),

@@ -1,6 +1,8 @@
 """Logs: what a recording holds, what a log's environment makes of it, and each log that is refused."""
 
+import io
 import json
+import zipfile
 from functools import partial
 
 import jax
@@ -9,9 +11,10 @@ import numpy as np
 import pytest
 import toy_env
 from answers import refused
+from npy_files import DAMAGED
 from toy_runs import assert_same, observe, row
 
-from dynappo import algorithm
+from dynappo import algorithm, terms
 from dynappo import config as config_lib
 from dynappo.description import motors
 from dynappo.description import robot as robot_lib
@@ -305,6 +308,16 @@ REFUSED = {  # entries of `about`, what becomes of the arrays, what the line mus
     "feet": (dict(foot_names=None), {}, "its foot_names are None, expected "),
     "NaN": ({}, dict(action=lambda x: x / (x != x[7])), "action is not finite in 1 of 551 entries"),
     "no velocity": ({}, dict(linear_velocity=None), "shape (551, 3); no sensor tells it"),
+    "no time": (
+        {},
+        dict(time=None),
+        "it has no array `time`, expected numbers of the shape [T], s",
+    ),
+    "since 1970": (
+        {},
+        dict(time=lambda x: np.float32(x + 1.7e9)),
+        "expected control_dt = 0.02; time is float32 of 1700000000 s: subtract its first, or save float64",
+    ),
     "no fell": ({}, dict(fell=None), "it has no array `fell`"),
     "empty": ({}, dict(time=lambda x: x[:0]), "it has no entries"),
     "narrow": (
@@ -335,10 +348,19 @@ def test_a_log_that_does_not_fit_is_one_line(write, walked, name):
     assert line.startswith(f"--logs={path}: ") and said in line
 
 
+def zipped(entry):
+    """A zip with this entry as the array `time`."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as file:
+        file.writestr("time.npy", entry)
+    return out.getvalue()
+
+
 def test_what_is_no_log_is_one_line(tmp_path, write):
     config, robot = configured()
     path = tmp_path / "log.npz"
-    for data in (b"", b"PK\x03\x04junk", b"\x93NUMPY\x01\x00v\x00{}"):
+    of_damaged = [zipped(entry) for entry in DAMAGED.values()]
+    for data in (b"", b"PK\x03\x04junk", b"\x93NUMPY\x01\x00v\x00{}", *of_damaged):
         path.write_bytes(data)
         assert "not an .npz of arrays, or damaged" in refused(
             log_file.load, str(path), robot, config
@@ -369,3 +391,29 @@ def test_a_schedule_or_a_task_without_use_for_a_log_is_refused(variant, fields, 
         config_lib.override(config, name, str(value))
     line = refused(config_lib.validate, config)
     assert line.startswith("run.logs is 'walked.npz', expected ''") and said in line
+
+
+MINE = {  # terms that add a number to the observation
+    "tall": "@terms.observation(size=1)\ndef tall(qpos):\n    return qpos[2:3]",
+    "ever": "@terms.known(start=(0.0,))\ndef ever(ever):\n    return ever + 1",
+    "level": "@terms.curriculum(start=0.0)\ndef level(level):\n    return level + 1",
+}
+
+
+@pytest.mark.parametrize("name", MINE)
+def test_an_observation_that_no_log_tells_is_refused(tmp_path, write, name):
+    """What a log tells of it would be shorter than what networks see; a reward may stay."""
+    paid = "from dynappo import terms\n@terms.reward(weight=-1.0)\ndef high(qpos):\n    return qpos[2]\n"
+    for text in (paid, paid + MINE[name]):
+        (tmp_path / "mine.py").write_text(text)
+        config = config_lib.load("configs/go1.py:logs")
+        config.run.logs = write()
+        terms.use(config, terms.read(tmp_path / "mine.py"))
+        config, robot = motors.fitted(config_lib.validate(config), robot_lib.load("go1"))
+        if text == paid:
+            assert "it does not tell high" in of_robots.about_log(config, robot)
+    line = refused(of_robots.about_log, config, robot)
+    assert line.startswith(
+        f"run.logs is {config.run.logs!r}, expected '' where task.terms = mine.py"
+    )
+    assert f"adds {name} to the observation, which no log tells" in line

@@ -1,5 +1,6 @@
 """A ground of one's own from a file: what is read, what is refused, and that a run keeps it."""
 
+import io
 import os
 import re
 import struct
@@ -8,6 +9,7 @@ import zlib
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from npy_files import DAMAGED
 
 from dynappo import config as config_lib
 from dynappo.config import ConfigError, flags
@@ -70,14 +72,14 @@ def test_a_picture_with_colours_is_no_ground(tmp_path):
         map_file.load(path, 0.01, 0.1)
 
 
-def png(path, depth, kind, bits):
-    """A black PNG of 20 x 20 points, with `bits` each; Pillow writes few kinds."""
+def png(path, depth, kind, bits, size=20):
+    """A black PNG of 20 x 20 points, with `bits` each; Pillow writes few kinds. Its header claims `size`."""
 
     def chunk(name, data):
         check = struct.pack(">I", zlib.crc32(name + data))
         return struct.pack(">I", len(data)) + name + data + check
 
-    head = chunk(b"IHDR", struct.pack(">IIBBBBB", 20, 20, depth, kind, 0, 0, 0))
+    head = chunk(b"IHDR", struct.pack(">IIBBBBB", size, size, depth, kind, 0, 0, 0))
     rows = zlib.compress(bytes(20 * (1 + -(-20 * bits // 8))))
     path.write_bytes(b"\x89PNG\r\n\x1a\n" + head + chunk(b"IDAT", rows) + chunk(b"IEND", b""))
     return str(path)
@@ -116,6 +118,23 @@ def test_a_picture_of_another_format_is_refused(tmp_path):
             map_file.load(str(tmp_path / "a.png"), 0.01, 0.1)
 
 
+def test_a_picture_that_is_too_large_is_told_its_size(tmp_path):
+    """Pillow refuses it before it reads a point: what was found is in the header."""
+    pytest.importorskip("PIL")
+    path = tmp_path / "a.png"
+    png(path, 8, 0, 8, size=20_000)
+    says = "a.png: a picture of 20000 x 20000 points, expected at most 100 million"
+    with pytest.raises(map_file.BadMap, match=says):
+        map_file.load(str(path), 0.01, 0.1)
+
+
+def zipped(end):
+    """An .npz that was renamed, cut at `end`."""
+    out = io.BytesIO()
+    np.savez(out, heights=HEIGHTS)
+    return out.getvalue()[:end]
+
+
 @pytest.mark.parametrize(
     ("name", "content", "says"),
     [
@@ -135,6 +154,9 @@ def test_a_picture_of_another_format_is_refused(tmp_path):
         ("a.npz", b"nonsense", "expected a file that ends in .npy or .png"),
         ("a.npy", b"", "expected an array of numbers"),
         ("a.npy", np.zeros((0, 4)), "an array of (0, 4), expected two axes of at least 2 points"),
+        ("a.npy", zipped(-40), "expected an array of numbers, as numpy.save writes it"),
+        ("a.npy", zipped(None), "expected an array of numbers, as numpy.save writes it"),
+        *(("a.npy", data, "expected an array of numbers") for data in DAMAGED.values()),
         ("a.npy", np.zeros((90, 90), complex), "expected an array of numbers"),
         ("a.npy", np.array([["a", "b"]]), "expected an array of numbers"),
         ("a.npy", np.array([[{}, 1]]), "expected an array of numbers"),

@@ -21,8 +21,6 @@ import contextlib
 import io
 import json
 import reprlib
-import zipfile
-import zlib
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -41,8 +39,6 @@ READINGS = (*SEEN, "action")
 # fields of rewards.Measured that the readings tell (logged.py), and those that `contact` tells
 ALWAYS = {"torque", "joint_velocity_before", "timestep", "older_action", "over_limit"}
 OF_CONTACT = {"contact", "touchdown", "last_air_time"}
-DAMAGE = (OSError, ValueError, EOFError, KeyError, SyntaxError, MemoryError, zipfile.BadZipFile)
-DAMAGE += (zlib.error, RuntimeError, TypeError)  # the last where it is an .npy
 MOST_BYTES = 2**31  # of all arrays together
 LEAST = 10.0  # s
 CLOSE = 1e-3  # of numbers that must be the same
@@ -105,9 +101,12 @@ def load(path: str, robot: Robot, config, digest: str = "") -> Log:
     period, fell = np.diff(arrays["time"].astype(float)), arrays["fell"] != 0
     goes_on = np.append(abs(period - dt) < dt / 2, False) & ~fell
     apart = float(np.median(period)) if len(period) else 0.0
+    time = arrays["time"]
+    hint = f"; time is {time.dtype} of {time[0]:.0f} s: subtract its first, or save float64"
+    coarse = apart == 0 and time.dtype != float  # seconds since 1970 have no hundredths in float32
     expect(
         abs(apart - dt) < dt / 10,
-        f"its entries are {apart:g} s apart, expected control_dt = {dt:g}",
+        f"its entries are {apart:g} s apart, expected control_dt = {dt:g}" + hint * coarse,
     )
     seconds = float(goes_on.sum() * dt)
     expect(seconds >= LEAST, f"it has {seconds:g} s of control steps, expected at least {LEAST:g}")
@@ -166,7 +165,8 @@ def _check_arrays(expect, arrays: dict[str, np.ndarray], shapes: dict[str, tuple
     for name, shape in shapes.items():
         hint = NO_VELOCITY * (name == "linear_velocity")
         there, shape = name in arrays, (count, *shape)
-        expect(there, f"it has no array `{name}`, expected numbers of the shape {shape}{hint}")
+        like = "numbers of the shape " + ("[T], s" if name == "time" else str(shape))
+        expect(there, f"it has no array `{name}`, expected {like}{hint}")
         found = arrays[name]
         expect(found.shape == shape, f"{name} has the shape {found.shape}, expected {shape}")
         expect(found.dtype.kind in "fiub", f"{name} holds {found.dtype}, expected numbers")
@@ -220,7 +220,7 @@ def _arrays(path: str, data: bytes) -> dict[str, np.ndarray]:
             return {name: file[name] for name in file.files}
     except ConfigError:
         raise
-    except (*DAMAGE, AttributeError):  # np.load returns an array where the file is no npz
+    except (*map_file.DAMAGE, AttributeError):  # np.load returns an array where the file is no npz
         raise ConfigError(
             f"--logs={path}: not an .npz of arrays, or damaged; robots/DEPLOY.md says what it holds"
         ) from None
