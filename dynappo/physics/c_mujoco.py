@@ -54,6 +54,7 @@ APPLIED = CONTROL | int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
 POSITION = int(mujoco.mjtCtrlInput.mjINPUT_POS)  # a motor's control is a position
 ROOM = 2e9  # bytes, of all models: a robot's has the whole ground, which may be a map of many MB
 FAR = 500.0  # MuJoCo never gets a state or a target above it: it would log a warning
+AWAY = 1e6  # m, the same of a base's x and y: a robot may walk for long
 FAR_ACCELERATION = 1e6
 _ONE_AT_A_TIME = threading.Lock()  # the pool of threads can do only one call at a time
 
@@ -167,9 +168,9 @@ class _World:
         if not np.isfinite(numbers).all():
             raise ValueError("a body or a motor with numbers that are not finite")
         count, robot, model = len(qpos), self.robot, self.model
-        good = (
-            np.abs(np.concatenate([qpos, qvel, target], 1)).max(1) < FAR
-        )  # False where one is NaN
+        # False where one is NaN; every base is free (robot_contract.py), its x and y come first
+        good = np.abs(np.concatenate([qpos[:, 2:], qvel, target], 1)).max(1) < FAR
+        good &= np.abs(qpos[:, :2]).max(1) < AWAY
         good &= np.abs(warm).max(1) < FAR_ACCELERATION
         state = np.empty((count, 1 + model.nq + model.nv))
         state[:, 0], state[:, 1 : 1 + model.nq], state[:, 1 + model.nq :] = 0, qpos, qvel

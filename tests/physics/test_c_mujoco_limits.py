@@ -75,6 +75,21 @@ def test_what_is_given_to_mujoco_is_not_logged(argument, column, tmp_path, monke
     assert not os.listdir()
 
 
+def test_a_robot_far_from_the_origin_moves_as_at_it():
+    """As in the other engines; one in no place is a blow-up, and alone."""
+    robot = robot_lib.load("go1")
+    arguments = inputs(robot)
+    arguments[0][:, :2] = [[0, 0], [-700, 900]]
+    here, there = moved(robot, *arguments).qpos
+    np.testing.assert_allclose(there[:2] + [700, -900], here[:2], atol=1e-3)
+    np.testing.assert_allclose(there[2:], here[2:], atol=1e-4)
+    for nowhere in (np.nan, np.inf, 2 * c_mujoco.AWAY):
+        arguments[0][1, 1] = nowhere
+        found = moved(robot, *arguments).qpos
+        np.testing.assert_array_equal(found[0], here)
+        assert np.isnan(found[1]).all()
+
+
 def test_a_body_of_no_numbers_ends_the_program():
     robot = robot_lib.load("go1")
     arguments = inputs(robot)
