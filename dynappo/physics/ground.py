@@ -16,6 +16,7 @@ Both are the lowest point's height where the map is flat.
 
 from __future__ import annotations
 
+import numbers
 from collections.abc import Callable
 from typing import Any
 
@@ -140,7 +141,7 @@ def check(ground: HeightMap) -> None:
         )
     if not np.isfinite(heights).all():
         raise ConfigError("ground.heights has some that are not finite, expected m")
-    if not isinstance(ground.cell, (int, float)) or not 0 < ground.cell < np.inf:
+    if not isinstance(ground.cell, numbers.Real) or not 0 < ground.cell < np.inf:
         raise ConfigError(f"ground.cell is {ground.cell!r}, expected m above 0")
     if corner.shape != (2,) or corner.dtype.kind not in "fiu" or not np.isfinite(corner).all():
         raise ConfigError(f"ground.corner is {ground.corner!r}, expected x and y in m")

@@ -7,6 +7,7 @@ expected.
 
 from __future__ import annotations
 
+import reprlib
 import traceback
 from typing import Any
 
@@ -16,7 +17,7 @@ import numpy as np
 
 from dynappo import config as config_lib
 from dynappo.config import ConfigError
-from dynappo.types import Env, Outcome
+from dynappo.types import Env, Mirror, Outcome, Views
 
 SCALARS = "reward discount truncation episode_return episode_length valid".split()
 SIZES = "obs_size prop_size action_size dt episode_length".split()
@@ -38,6 +39,15 @@ def check(env: Any, config, tail: bool) -> None:
     _check_step(env, state, found)
     again = _shapes("autoreset", env.autoreset, hyper, body, *found, key)
     _check_same("autoreset", again, state)
+    if env.views is not None:
+        _check_views(env)
+    if env.recorded is not None:
+        found = _shapes("recorded", env.recorded, state)
+        _check_shape("recorded(state)", found, (a,), f"action_size = {a}")
+    if env.evaluated is not None:
+        found = _shapes("evaluated", env.evaluated, hyper)
+        if not isinstance(found, type(hyper)):
+            raise _wrong(f"evaluated(hyper) is {_kind(found)}", "hyper, with other numbers in it")
     if config.ppo.symmetry:
         _check_mirror(env)
     if config.ppo.scale_inputs and np.shape(env.input_scale) != (env.obs_size,):
@@ -54,6 +64,16 @@ def check(env: Any, config, tail: bool) -> None:
     if config.model.clean:
         found = _shapes("sense", env.sense, hyper, prop, context, key)
         _check_shape("sense(hyper, prop, context, key)", found, (p,), "[prop_size]")
+    if env.sense_context is not None:
+        found = _shapes("sense_context", env.sense_context, hyper, context, key)
+        row = "sense_context(hyper, context, key)"
+        _check_shape(row, found, (o - p,), "[obs_size - prop_size]")
+    if env.known_end is not None:
+        found = _shapes("known_end", env.known_end, hyper, prop, context)
+        _check_shape("known_end(hyper, prop, context)", found, (), "one number")
+    if config.model.falls and env.fall_reward is not None:
+        found = _shapes("fall_reward", env.fall_reward, hyper)
+        _check_shape("fall_reward(hyper)", found, (), "one number")
     if config.schedule.new_commands:
         if env.retell is None:
             raise _wrong(
@@ -87,7 +107,8 @@ def check_kind(env: Any) -> None:
     for name in SIZES:
         value = getattr(env, name)
         whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
-        if not (whole or (name == "dt" and isinstance(value, float))) or not value > 0:
+        real = name == "dt" and isinstance(value, (float, np.floating))
+        if not (whole or real) or not value > 0:
             kind = "seconds" if name == "dt" else "an integer"
             raise _wrong(f"{name} is {value!r}", f"{kind} above 0")
     if env.prop_size > env.obs_size:
@@ -174,16 +195,47 @@ def _check_same(name: str, after: Any, state: Any) -> None:
             raise _wrong(f"{name} returns a state with {path} {found}", f"{expected} as reset's")
 
 
+def _check_views(env: Any) -> None:
+    if not isinstance(env.views, Views):
+        raise _wrong(f"views is {_kind(env.views)}", "a dynappo.types.Views")
+    for name, of in env.views._asdict().items():
+        columns, size = np.asarray(of), env.obs_size
+        if columns.ndim != 1 or columns.dtype.kind not in "iu":
+            found = f"{columns.dtype} of shape {columns.shape}"
+            raise _wrong(f"views.{name} is {found}", "[K] integers, the columns that it sees")
+        if wrong := columns[(columns < 0) | (columns >= size)].tolist():
+            raise _wrong(
+                f"views.{name} has the column {wrong[0]}", f"0 to {size - 1}, those of obs"
+            )
+
+
 def _check_mirror(env: Any) -> None:
     if env.mirror is None:
         raise _wrong(
             "mirror is None where ppo.symmetry is True",
             "the mirror images of obs and action (types.Mirror), or ppo.symmetry=False",
         )
-    for name, one, size in zip(
-        ("obs", "action"), env.mirror, (env.obs_size, env.action_size), strict=True
-    ):
-        for part in ("index", "sign"):
-            _check_shape(
-                f"the mirror's {part} of {name}", getattr(one, part), (size,), f"{name}_size"
-            )
+    pair = env.mirror if isinstance(env.mirror, (tuple, list)) else (env.mirror,)
+    if len(pair) != 2 or not all(isinstance(one, Mirror) for one in pair):
+        kinds = ", ".join(map(_kind, pair))
+        raise _wrong(f"mirror is ({kinds})", "two dynappo.types.Mirror, of obs and of action")
+    sizes = env.obs_size, env.action_size
+    for name, one, size in zip(("obs", "action"), pair, sizes, strict=True):
+        for part in one._fields:
+            words = f"the mirror's {part} of {name}"
+            _check_shape(words, getattr(one, part), (size,), f"{name}_size")
+        index, sign = map(np.asarray, one)
+        if index.dtype.kind not in "iu" or (np.sort(index) != np.arange(size)).any():
+            words = f"the mirror's index of {name} is {_few(index)}"
+            raise _wrong(words, f"each of 0 to {size - 1} once")
+        if (abs(sign) != 1).any():
+            raise _wrong(f"the mirror's sign of {name} is {_few(sign)}", "each 1 or -1")
+        again = (index[index] != np.arange(size)) | (sign[index] != sign)
+        if again.any():
+            i = int(np.argmax(again))
+            found = f"the mirror of {name} takes number {i} to {index[i]}, and that to {index[index[i]]}"
+            raise _wrong(found, "its own inverse, with the same sign for both")
+
+
+def _few(values: np.ndarray) -> str:
+    return reprlib.repr(values.tolist())

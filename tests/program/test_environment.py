@@ -13,7 +13,7 @@ from answers import refused
 from dynappo import config as config_lib
 from dynappo.program import build, environment
 from dynappo.tasks import env_contract
-from dynappo.types import Env, Mirror, Outcome, autoreset
+from dynappo.types import Env, Mirror, Outcome, Views, autoreset
 
 TOY = toy_env.make()
 
@@ -118,12 +118,38 @@ WRONG = {  # what is changed of the toy, what the line says
         {"retell": lambda h, context, key: context[:2]},
         r"retell.* \(2,\), expected \(3,\)",
     ),
+    "views": ({"views": [1, 2]}, "views is list, expected a dynappo.types.Views"),
+    "no such column": (
+        {"views": Views(*[np.arange(3)] * 2, np.array([0, 6]))},
+        "views.model has the column 6, expected 0 to 5",
+    ),
+    "which are seen": (
+        {"views": Views(np.arange(6) < 3, *[np.arange(3)] * 2)},
+        r"views.actor is bool of shape \(6,\), expected \[K\] integers",
+    ),
+    "recorded": (
+        {"recorded": lambda state: state.prop},
+        r"recorded\(state\) is of shape \(3,\), expected \(2,\)",
+    ),
+    "evaluated": ({"evaluated": lambda hyper: None}, r"evaluated\(hyper\) is None, expected hyper"),
+    "known end": (
+        {"known_end": lambda h, prop, context: prop > 0},
+        r"known_end\(.* \(3,\), expected \(\) \(one number\)",
+    ),
+    "reward of a fall": (
+        {"fall_reward": lambda h: jnp.ones(2)},
+        r"fall_reward\(hyper\) is of shape \(2,\), expected \(\) \(one number\)",
+    ),
+    "sensed context": (
+        {"sense_context": lambda h, context, key: context[:1]},
+        r"sense_context\(.* \(1,\), expected \(3,\)",
+    ),
     "known reward": (
         {"known_reward": lambda h, obs, action, prop: prop},
         r"known_reward.* \(3,\), expected \(\)",
     ),
 }
-ASKS = {"model__clean": True, "model__known_reward": True}
+ASKS = {"model__clean": True, "model__known_reward": True, "model__falls": True}
 TELLS = ASKS | {"schedule__new_commands": True, "schedule__rounds": 2}
 
 
@@ -188,6 +214,44 @@ def test_symmetry_needs_the_mirror_of_every_number():
     assert "mirror is None where ppo.symmetry is True" in refused(build.check, config, TOY)
     wrong = refused(build.check, config, TOY._replace(mirror=mirror[::-1]))
     assert "the mirror's index of obs is of shape (2,), expected (6,)" in wrong
+
+
+@pytest.mark.parametrize(
+    ("action", "says"),
+    [
+        (Mirror(np.array([0, 9]), np.ones(2)), "the mirror's index of action is [0, 9], expected"),
+        (
+            Mirror(np.array([1, 1]), np.ones(2)),
+            "index of action is [1, 1], expected each of 0 to 1",
+        ),
+        (Mirror(np.arange(2), np.array([1, 5])), "sign of action is [1, 5], expected each 1 or -1"),
+        (Mirror(np.arange(2)[::-1], np.array([1, -1])), "takes number 0 to 1, and that to 0"),
+        (2, "mirror is (Mirror, int), expected two dynappo.types.Mirror"),
+    ],
+)
+def test_a_mirror_is_its_own_inverse(action, says):
+    """Else a symmetric policy would learn from the wrong image, in silence."""
+    config, of_obs = workdirs.config(ppo__symmetry=True), Mirror(np.arange(6), np.ones(6))
+    assert says in refused(build.check, config, TOY._replace(mirror=(of_obs, action)))
+    turned = of_obs._replace(index=np.array([1, 2, 0, 3, 4, 5]))
+    swapped = Mirror(np.array([1, 0]), -np.ones(2))
+    build.check(config, TOY._replace(mirror=(of_obs, swapped)))
+    wrong = refused(build.check, config, TOY._replace(mirror=(turned, swapped)))
+    assert "the mirror of obs takes number 0 to 1, and that to 2, expected its own" in wrong
+
+
+def test_what_is_optional_passes_where_it_is_right():
+    """And a control step may be a number of NumPy's."""
+    env = TOY._replace(
+        dt=np.float32(0.02),
+        views=Views(np.arange(6), [0, 3], jnp.arange(5)),
+        recorded=lambda state: state.last_action,
+        evaluated=lambda hyper: hyper,
+        known_end=lambda h, prop, context: prop[0] > 1,
+        fall_reward=lambda hyper: -1.0,
+        sense_context=lambda h, context, key: context,
+    )
+    build.check(environment.config_for(workdirs.config(**TELLS), env), env)
 
 
 def test_what_is_no_environment_is_named():

@@ -224,6 +224,7 @@ def test_a_ground_in_python_that_is_none_is_one_line(made, says):
     tiles.update(rows=1, columns=1, size=9.0)
     good = height_map.HeightMap(HEIGHTS, 0.1, (-4.5, -8.5))
     ground.check_tiles(tiles, good)
+    ground.check_tiles(tiles, good._replace(cell=np.float32(0.1)))
     with pytest.raises(ConfigError, match=re.escape(says)):
         ground.check_tiles(tiles, good._replace(**made))
     with pytest.raises(ConfigError, match="ground is a ndarray, expected a HeightMap"):
