@@ -33,6 +33,7 @@ from dynappo.terrain.height_map import HeightMap
 # x and y [..., 2] (m, in the world) of the points; a function, so that flat ground computes nothing
 Place = Callable[[], Any]
 THICK = 0.2  # m, of MuJoCo's height field below its lowest point
+BORDER = 2.0  # m; a robot whose base is still on the map touches nothing that far outside
 DRAWN = 300_000  # triangles of a mesh that is drawn in its place
 
 
@@ -87,6 +88,7 @@ def put(spec: mujoco.MjSpec, ground: HeightMap | None) -> None:
     """Make the geom `floor` a height field, with the same friction and all else; nothing for `None`."""
     if ground is None:
         return
+    ground = _with_border(ground)
     heights, low = ground.heights, float(ground.heights.min())
     half = [ground.cell * (count - 1) / 2 for count in heights.shape]
     rise = max(float(heights.max()) - low, 1e-3)  # MuJoCo wants one; a flat map has only zeros
@@ -101,6 +103,18 @@ def put(spec: mujoco.MjSpec, ground: HeightMap | None) -> None:
     floor.type, floor.hfieldname = mujoco.mjtGeom.mjGEOM_HFIELD, "floor"
     floor.pos = [c + h for c, h in zip(ground.corner, half, strict=True)] + [low]
     floor.quat = [1, 0, 0, 0]
+
+
+def _with_border(ground: HeightMap) -> HeightMap:
+    """`ground` with its edges going on, as `height_map.height` has them: MuJoCo has nothing beyond its height
+    field, and tiles may end where the map does. A map that is flat there, as round tiles, is left as it is."""
+    count = int(np.ceil(BORDER / ground.cell - 1e-6))
+    outer = ground.heights.copy()  # of it only the outermost heights
+    outer[count:-count, count:-count] = first = outer[0, 0]
+    if (outer == first).all():
+        return ground
+    x, y = (c - count * ground.cell for c in ground.corner)
+    return HeightMap(np.pad(ground.heights, count, mode="edge"), ground.cell, (x, y))
 
 
 def draw(spec: mujoco.MjSpec, ground: HeightMap) -> None:

@@ -2,7 +2,7 @@
 
 A cell is split along the diagonal from its corner (i, j) to (i + 1, j + 1), as MuJoCo splits that of a
 height field (mjc_ConvexHField: strips of triangles (r + 1, c), (r, c), (r + 1, c + 1), ...). Outside the map
-the height is that of its nearest edge; MuJoCo has no ground there.
+the height is that of its nearest edge; MuJoCo has 2 m of that at most (physics/ground.py).
 
 All functions but `needed` and `triangles` are for NumPy and JAX alike, `map_array` [X, Y] being a map's
 `heights`.

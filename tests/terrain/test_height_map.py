@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from dynappo import config as config_lib
 from dynappo.physics import ground as ground_lib
 from dynappo.terrain import height_map
 from dynappo.terrain.height_map import HeightMap
@@ -44,6 +45,32 @@ def test_heights_and_normals_are_those_that_rays_meet(model, places):
         far = mujoco.mj_ray(model, data, start, down, None, 1, 1, ids, found)
         assert 5 - far == pytest.approx(height, abs=1e-6)
         np.testing.assert_allclose(found, up, atol=1e-5)
+
+
+def test_mujocos_ground_goes_on_beyond_the_edge_of_the_map(model):
+    """As far as a robot on the map reaches; one with a border, as tiles have it, gets no more."""
+    data, rng = mujoco.MjData(model), np.random.default_rng(1)
+    x, y = (
+        mid + rng.uniform(-1.9 - half, 1.9 + half, 200) for mid, half in ((0, 0.3), (-0.1, 0.4))
+    )
+    mujoco.mj_forward(model, data)
+    for *place, height in zip(x, y, height_map.height(*GROUND, x, y), strict=True):
+        start, down, ids = np.array([*place, 5.0]), np.array([0, 0, -1.0]), np.zeros(1, np.int32)
+        far = mujoco.mj_ray(model, data, start, down, None, 1, 1, ids, None)
+        assert 5 - far == pytest.approx(height, abs=1e-6)
+    tiles = config_lib.load("go2:rough").task.tiles
+    tiles.update(rows=1, columns=1)
+    for border, more in ((2.0, 0), (0.0, 80)):
+        tiles.border = border
+        spec, made = mujoco.MjSpec(), ground_lib.of_tiles(tiles)
+        spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1, 1, 1])
+        ground_lib.put(spec, made)
+        found = spec.compile()
+        assert (found.hfield_ncol[0], found.hfield_nrow[0]) == tuple(
+            n + more for n in made.heights.shape
+        )
+        end = -(4 + border + more * tiles.cell / 2)
+        assert found.geom_pos[0, 0] - found.hfield_size[0, 0] == pytest.approx(end)
 
 
 def test_the_nearest_point_is_mujocos_deepest_contact(model, places):
