@@ -89,6 +89,9 @@ def tile(tiles: Any, kind: str, hard: float, rng: np.random.Generator) -> np.nda
     along = np.minimum(np.arange(count + 1), count - np.arange(count + 1))
     # m from the nearest edge, a little more, so that a rounded quotient is not one less
     inside = np.minimum.outer(along, along) * tiles.cell + 1e-6
+    no_edge = (
+        np.minimum.outer(along, along) > 0
+    )  # else without a margin walls would stand between tiles
     made = {
         "pyramid_stairs": lambda: stairs(tiles, inside, between(tiles.stairs, hard)),
         "pit_stairs": lambda: -stairs(tiles, inside, between(tiles.stairs, hard)),
@@ -97,7 +100,7 @@ def tile(tiles: Any, kind: str, hard: float, rng: np.random.Generator) -> np.nda
         "pyramid_slope": lambda: slope(tiles, inside, between(tiles.slope, hard)),
         "pit_slope": lambda: -slope(tiles, inside, between(tiles.slope, hard)),
     }[kind]()
-    return np.round(made / tiles.height_step) * tiles.height_step
+    return np.round(made * no_edge / tiles.height_step) * tiles.height_step
 
 
 def between(ends, share: float) -> float:

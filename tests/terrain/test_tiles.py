@@ -83,6 +83,16 @@ def test_random_ground_has_each_of_its_heights_alike_in_every_row():
     np.testing.assert_array_equal(found, one("random", 1.0))
 
 
+@pytest.mark.parametrize("kind", tiles.KINDS)
+def test_a_tile_is_0_at_its_edges(kind):
+    """Also without a margin; else walls a cell wide would stand between tiles. Inside nothing changes."""
+    found = one(kind, 1.0, margin=0.0, stairs_border=0.0)
+    outer = loop(lambda cells: cells == 0).astype(bool)
+    assert (found[outer] == 0).all() and (found[~outer] != 0).mean() > 0.5
+    if kind == "pyramid_stairs":
+        np.testing.assert_allclose(found[1, 1:-1], 0.23, atol=1e-6)  # the first step
+
+
 def test_the_map_puts_the_tiles_in_rows_by_difficulty_and_columns_by_kind():
     t = group(rows=3, columns=6, shares=(1.0,) * 6)
     ground, middles = tiles.make(t), tiles.centres(t)
