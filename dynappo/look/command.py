@@ -20,7 +20,7 @@ from dynappo.description import kinds, motors
 from dynappo.description import robot as robot_lib
 from dynappo.look import facts, ground, picture
 from dynappo.physics import engine_contract
-from dynappo.physics.ground import of_tiles
+from dynappo.physics.ground import of_tiles, under
 from dynappo.physics.warp import scope
 from dynappo.policy import episode as episode_lib
 from dynappo.policy import policy_file
@@ -187,8 +187,8 @@ def _span(values: np.ndarray, digits: int | None) -> str:
 def notes(robot: robot_lib.Robot, config, pd: facts.PD, stood: dict) -> list[str]:
     """A line on each thing to change before training."""
     out = [*_wrong_pd(pd), *_wrong_standing(robot, stood), *_wrong_config(robot, config)]
-    out += _wrong_engine(robot, config.physics)
-    if slow := scope.slower(robot, config.physics):
+    out += _wrong_engine(robot, config)
+    if slow := scope.slower(robot, config.physics, under(config.task)):
         out.append(slow)
     if coarse := engine_contract.coarse(robot):
         out.append(coarse)
@@ -200,12 +200,12 @@ def _wrong_pd(pd: facts.PD) -> list[str]:
     return [fix] if pd.damping >= 1 or pd.bound >= 2 else []
 
 
-def _wrong_engine(robot: robot_lib.Robot, physics) -> list[str]:
+def _wrong_engine(robot: robot_lib.Robot, config) -> list[str]:
     """The engines that cannot simulate the file, where the machine chooses one (`physics.impl=auto`)."""
-    lines = []
+    lines, physics = [], config.physics
     for impl, name in engine_contract.ENGINES.items() if physics.impl == "auto" else ():
         with contextlib.suppress(ImportError):  # MuJoCo Warp is not installed
-            if reason := engine_contract.lacks(robot, physics, impl):
+            if reason := engine_contract.lacks(robot, physics, impl, under(config.task)):
                 lines.append(f"{name} (physics.impl={impl}) cannot simulate the file: {reason}")
     return lines
 
@@ -316,7 +316,8 @@ def run(flags) -> None:
         partners.check_motors(config.task, robot)
     if config.physics.impl != "auto":
         with contextlib.suppress(ImportError):  # MuJoCo Warp is not installed; train says so
-            engine_contract.check(robot, config.physics, config.physics.impl)
+            impl = config.physics.impl
+            engine_contract.check(robot, config.physics, impl, under(config.task))
     described = policy_file.describe(config, robot)
     pd = facts.pd(robot, config.task.kp, config.task.kd, config.physics.timestep)
     body = episode_lib.load(robot.xml, described, described.timestep, text=robot.played)

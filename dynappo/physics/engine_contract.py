@@ -57,7 +57,7 @@ def lacks(robot: robot_lib.Robot, physics, impl: str, ground: HeightMap | None =
     if impl == "c":
         name = _unlike_others(robot.mj_model)
         return name and f"the integrator {name}"
-    model = robot_lib.physics_model(robot, physics)
+    model = ground_lib.model(robot, physics, None if ground is None else ground_lib.SOME)
     if ground is not None and impl == "jax" and _on_a_map(model):
         return _on_a_map(model)
     if _plain(model) or not scope.declines(model, robot.feet):

@@ -35,6 +35,8 @@ Place = Callable[[], Any]
 THICK = 0.2  # m, of MuJoCo's height field below its lowest point
 BORDER = 2.0  # m; a robot whose base is still on the map touches nothing that far outside
 DRAWN = 300_000  # triangles of a mesh that is drawn in its place
+# where it matters that there is a height map, and not which: a model of all tiles takes half a second
+SOME = HeightMap(np.zeros((2, 2), np.float32), 1.0, (0.0, 0.0))
 
 
 def height_above(z, place: Place | None, ground: HeightMap | None = None):
@@ -129,6 +131,11 @@ def draw(spec: mujoco.MjSpec, ground: HeightMap) -> None:
     floor = spec.geom("floor")
     floor.type, floor.meshname = mujoco.mjtGeom.mjGEOM_MESH, "floor"
     floor.pos, floor.quat, floor.contype, floor.conaffinity = [0, 0, 0], [1, 0, 0, 0], 0, 0
+
+
+def under(task: Any) -> HeightMap | None:
+    """What a robot with the config's group `task` stands on: None on flat ground, else `SOME` height map."""
+    return None if task.terrain == "flat" else SOME
 
 
 def of_tiles(tiles: Any) -> HeightMap:

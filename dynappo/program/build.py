@@ -53,7 +53,7 @@ class Program(NamedTuple):
 def check(config, env: Any = None) -> None:
     """ConfigError if the machine, the robot's file or `env` cannot run it; compiles nothing."""
     from dynappo.description import motors, robot
-    from dynappo.physics import engine_contract
+    from dynappo.physics import engine_contract, ground
     from dynappo.program import environment
     from dynappo.tasks import by_name, env_contract, of_robots
 
@@ -72,7 +72,7 @@ def check(config, env: Any = None) -> None:
         threading.Thread(target=_begin_warp, daemon=True).start()
     config, loaded = motors.fitted(config, robot.load(config.robot))
     of_robots.check(config, loaded)
-    engine_contract.check(loaded, config.physics, impl)
+    engine_contract.check(loaded, config.physics, impl, ground.under(config.task))
     memory.check(config, loaded, memory.limit(devices.local(config.run.device)))
     if config.run.logs:
         of_robots.about_log(config, loaded)
@@ -81,7 +81,7 @@ def check(config, env: Any = None) -> None:
 def engine_note(program: Program, config) -> str:
     """A line on a robot whose physics are slower or coarser on this engine, and why; or on where another
     package's environment comes from, or what is in a log; else ""."""
-    from dynappo.physics import engine_contract
+    from dynappo.physics import engine_contract, ground
     from dynappo.physics.warp import scope
     from dynappo.tasks import by_name, of_robots
 
@@ -93,7 +93,7 @@ def engine_note(program: Program, config) -> str:
         return engine_contract.coarse(program.robot)
     if program.impl != "warp":
         return ""
-    return scope.slower(program.robot, config.physics)
+    return scope.slower(program.robot, config.physics, ground.under(config.task))
 
 
 def _begin_warp() -> None:

@@ -5,6 +5,7 @@ reason that names the feature, or a control step of the kernel that takes it is 
 """
 
 import copy
+from types import SimpleNamespace
 
 import jax
 import mujoco
@@ -19,9 +20,11 @@ from dynappo.description import robot_contract
 from dynappo.physics import engine as engine_lib
 from dynappo.physics import engine_contract
 from dynappo.physics.warp import scope
+from dynappo.program import build, devices
 
 pytest.importorskip("warp")
 
+import other_robots  # noqa: E402
 from kernel_case import ROBOTS, Case, drive  # noqa: E402
 
 from dynappo.physics.warp import general, quadruped, tree  # noqa: E402
@@ -690,3 +693,34 @@ def test_mjx_computes_what_the_kernel_declines(tmp_path):
         data.qpos[:], data.qvel[:], data.ctrl[:] = (x[i] for x in given)
         mujoco.mj_step(case.model, data)
         close(found[i], data.qvel, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("feet", "impl", "says"),
+    [
+        (other_robots.MIXED, "jax", "MJX cannot simulate it (cylinders on a height map)"),
+        (other_robots.BOX, "warp", "because of feet that are boxes, on ground that is not flat"),
+        (other_robots.CAPSULES, "warp", ""),
+        (other_robots.CAPSULES, "jax", ""),
+    ],
+)
+def test_what_an_engine_lacks_on_rough_ground_is_said_before_it_is_made(
+    feet, impl, says, monkeypatch
+):
+    """What `train` refuses in a second, and notes after it has compiled; on flat ground neither."""
+    robot, told = other_robots.biped(feet), []
+    monkeypatch.setattr(robot_lib, "load", lambda name: robot)
+    monkeypatch.setattr(devices, "engine", lambda config: impl)
+    monkeypatch.setattr(build, "_begin_warp", lambda: None)
+    for terrain in ("flat", "rough"):
+        config = config_lib.load("configs/default.py")
+        config.task.update(terrain=terrain, carry_on=False)
+        config.physics.impl, config.ppo.symmetry = impl, False
+        config = config_lib.validate(config)
+        program = SimpleNamespace(robot=robot, impl=impl)
+        try:
+            build.check(config)
+            told.append(build.engine_note(program, config))
+        except config_lib.ConfigError as error:
+            told.append(str(error))
+    assert told[0] == "" and (says in told[1] if says else told[1] == "")

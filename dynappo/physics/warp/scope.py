@@ -18,6 +18,8 @@ import numpy as np
 
 from dynappo.description import contacts
 from dynappo.description import robot as robot_lib
+from dynappo.physics import ground as ground_lib
+from dynappo.terrain.height_map import HeightMap
 
 LEGS, LINKS = 4, 12  # of a quadruped: a base, and legs of three links, each with a hinge
 JOINTS, POINTS = 32, 64  # of a tree, at most: a thread of a warp each; what fits into its memory
@@ -126,10 +128,10 @@ def no_quadruped(model: mujoco.MjModel, feet: np.ndarray, every_substep: bool) -
     return next((words for words, found in odd.items() if found), "")
 
 
-def slower(robot: robot_lib.Robot, physics) -> str:
-    """A line on a robot that on a GPU needs MuJoCo Warp's own step, and why; "" if a kernel of ours
-    does it. `physics` is the config's group."""
-    reason = declines(robot_lib.physics_model(robot, physics), robot.feet)
+def slower(robot: robot_lib.Robot, physics, ground: HeightMap | None = None) -> str:
+    """A line on a robot that on a GPU needs MuJoCo Warp's own step on a `ground`, and why; "" if a kernel of
+    ours does it. `physics` is the config's group."""
+    reason = declines(ground_lib.model(robot, physics, ground), robot.feet)
     return reason and (
         f"{robot.xml}: because of {reason}, physics on a GPU are MuJoCo Warp's own step, which takes "
         "several times as long as a kernel of ours"
