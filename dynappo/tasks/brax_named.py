@@ -20,6 +20,7 @@ import numpy as np
 from brax import envs
 
 from dynappo.config import ConfigError
+from dynappo.description import mjcf
 from dynappo.tasks import brax_env
 from dynappo.tasks import single as single_lib
 from dynappo.tasks.single import Seen, Single
@@ -37,10 +38,9 @@ UNITS = {"control_dt": "s", "timestep": "s"}
 @functools.cache
 def bare(name: str) -> envs.Env:
     """brax's own object; ConfigError for an environment that is not for these physics."""
-    # brax's files have what MuJoCo warns of, in a file in the working directory
-    mujoco.set_mju_user_warning(lambda message: None)
     try:
-        return envs.get_environment(name, backend=BACKEND)
+        with mjcf.without_warnings():  # brax's files have what MuJoCo warns of
+            return envs.get_environment(name, backend=BACKEND)
     except ValueError as error:
         raise ConfigError(
             f"brax:{name} cannot be trained: brax has it on other physics than {BACKEND} alone ({error})"

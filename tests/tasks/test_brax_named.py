@@ -43,6 +43,19 @@ def rotated(quat, vector):
     return vector + 2 * np.cross(xyz, np.cross(xyz, vector) + w * vector)
 
 
+def test_mujocos_warnings_are_dropped_only_while_brax_reads_its_files():
+    """Those of everything else in the process are told as before."""
+    before = mujoco.get_mju_user_warning()
+    heard = []
+    mujoco.set_mju_user_warning(heard.append)
+    try:
+        mine = mujoco.get_mju_user_warning()
+        brax_named.bare.__wrapped__(NAME)
+        assert mujoco.get_mju_user_warning() is mine and not heard
+    finally:
+        mujoco.set_mju_user_warning(before)
+
+
 def test_it_moves_as_brax_does_by_hand(cart):
     """From the same state: rounding cannot grow. The motor gets 3 times the action, as brax scales it."""
     by_hand = jax.jit(brax_named.bare(NAME).step)
