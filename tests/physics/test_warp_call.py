@@ -277,12 +277,17 @@ def test_launches_are_only_noted():
 
     from dynappo.physics.warp import kernels
 
-    there = wp.zeros((2, 12), dtype=float)
+    there = wp.zeros(12, dtype=float)
+
+    @wp.kernel
+    def fill(to: wp.array(dtype=float)):  # pyright: ignore
+        to[wp.tid()] = 1.0
 
     def call():
+        wp.launch(fill, dim=12, inputs=[there])
         wp.launch(kernels.keep, dim=(2, 13), inputs=[1])
         wp.launch_tiled(kernels.motors, dim=(0, 4), inputs=[], block_dim=32)
 
     found = building.launched(call)
-    assert {module.name for module, _ in found} == {kernels.__name__}
+    assert {module.name for module, _ in found} == {kernels.__name__, fill.module.name}
     assert not there.numpy().any() and wp.launch.__module__.startswith("warp")

@@ -186,10 +186,7 @@ def _state(const: Constants, out: Any, exact: Any) -> State:
     now, quiet = (after_step(const, x) for x in (out, exact))
     raw = jax.tree.map(lambda x, like: jnp.asarray(x, like.dtype), now, const.like)
     numbers, quiet = parts.vector(layout.names, raw), parts.vector(layout.names, quiet)
-    obs = numbers[layout.source]
-    prop = jnp.where(
-        layout.noise > 0, quiet[layout.source[: layout.prop_size]], obs[: layout.prop_size]
-    )
+    obs, prop = parts.pack(layout, numbers, quiet)
     data, zero = out.data, jnp.zeros((), jnp.int32)
     return State(
         qpos=data.qpos,

@@ -361,8 +361,10 @@ def _places(names, one: Raw, flag) -> np.ndarray:
 
 
 def pack(layout: Layout, raw: Float[Array, " E"], exact: Float[Array, " E"]):
-    """`(obs, prop)` of raw numbers, and of the same without noise."""
-    return raw[layout.source], exact[layout.source[: layout.prop_size]]
+    """`(obs, prop)` of raw numbers, and of the same without noise; only those with noise are taken from
+    `exact`."""
+    obs, size = raw[layout.source], layout.prop_size
+    return obs, jnp.where(layout.noise > 0, exact[layout.source[:size]], obs[:size])
 
 
 def unpack(layout: Layout, obs: Float[Array, " O"], prop: Float[Array, " P"]) -> Float[Array, " E"]:
