@@ -231,8 +231,7 @@ def _simulate_in_mjx(engine: Engine, body, first: Substeps, target, motor: Motor
 
     def lowest(distance, geoms, data):
         row = data.geom_xmat[geoms].reshape(-1, 9)[:, 6:]  # third row of the rotation matrix
-        z = ground_lib.height_above(data.geom_xpos[geoms, 2], lambda: data.geom_xpos[geoms, :2])
-        return contacts.lowest(distance, z, row)
+        return contacts.lowest(distance, data.geom_xpos[geoms, 2], row)
 
     parts = partial(lowest, engine.floor, robot.parts)
     feet = partial(lowest, engine.soles, robot.feet)
@@ -324,11 +323,9 @@ def _simulate_in_c(engine: Engine, body, first: Substeps, target, motor: Motor):
     seen, s = slice(None) if engine.every_substep else slice(-1, None), first
     if engine.ground is None:
         soles, row = jnp.split(row, [split], axis=1)
-        # without the geoms' place: `Moved` has only heights
-        feet, parts = (ground_lib.height_above(z, None) for z in (moved.feet, moved.parts))
-        for shapes in contacts.lowest(engine.soles, feet, soles):
+        for shapes in contacts.lowest(engine.soles, moved.feet, soles):
             s = _feet(engine, s, shapes)
-        lowest = contacts.lowest(engine.floor, parts[seen], row[seen]).min(0)
+        lowest = contacts.lowest(engine.floor, moved.parts[seen], row[seen]).min(0)
     else:
         one = jnp.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], -1)
         two = jnp.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], -1)
