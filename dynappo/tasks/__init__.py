@@ -12,8 +12,8 @@
 
 To add a task, write a module, or a folder of modules, with a function that returns an `Env`, and a branch
 in `of_robots`; there is no registry. A climb over rough ground may import what it shares with `velocity`,
-such as `commands`. Tasks import `physics`, `description`, `config` and `types`. The method imports no task,
-because an `Env` is its argument. `brax_env` and `brax_named` alone import brax.
+such as `commands`. Tasks import `terrain`, `physics`, `description`, `config` and `types`. The method imports
+no task, because an `Env` is its argument. `brax_env` and `brax_named` alone import brax.
 
 Why `tasks` and not `envs`: two folders differ in commands and rewards. `Env` is the type that all of them
 return, and the config's group is `task`.

@@ -6,6 +6,6 @@
 - `curriculum`: which tile a robot gets next
 - `scan`: where a robot is in the world, and what it sees of the ground
 
-`config`, `physics`, tasks, `policy`, `look` and `evaluate` import it; it imports no other folder. All but
-`curriculum` need no JAX.
+`config`, `physics`, tasks, `policy`, `program`, `look`, `evaluate`, `export`, `page` and `web` import it; it
+imports no other folder. All but `curriculum` need no JAX.
 """

@@ -4,6 +4,8 @@ A cell is split along the diagonal from its corner (i, j) to (i + 1, j + 1), as 
 height field (mjc_ConvexHField: strips of triangles (r + 1, c), (r, c), (r + 1, c + 1), ...). Outside the map
 the height is that of its nearest edge; MuJoCo has 2 m of that at most (physics/ground.py).
 
+`normal` is what tests and experiments/28_rough compare with; the package asks for the others.
+
 All functions but `needed` and `triangles` are for NumPy and JAX alike, `map_array` [X, Y] being a map's
 `heights`.
 """

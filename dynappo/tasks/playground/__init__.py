@@ -13,9 +13,9 @@ The task itself is Playground's, unchanged: its `reset` and its `step` are calle
 - `commands`: which tasks have a command, and its ranges
 - `env`: the `Env`
 - `settings`: Playground's PPO settings as fields of our config
-- `c_physics`: C MuJoCo in the place of MJX, for one robot to be looked at
+- `c_physics`: C MuJoCo in the place of MJX, for one robot to be looked at, and for evaluations on a CPU
 - `single`: that robot, a control step at a time
 
-`tasks/by_name.py` and configs/playground.py import it. It imports `physics`, `config`,
-`types` and Playground.
+`tasks/by_name.py` and configs/playground.py import it. It imports `tasks.velocity`, `tasks.names`,
+`tasks.single`, `physics`, `config`, `types` and Playground.
 """

@@ -1,4 +1,5 @@
-"""C MuJoCo in the place of MJX for a Playground task: for one robot on a CPU, to look at it.
+"""C MuJoCo in the place of MJX for a Playground task on a CPU: for one robot, to look at it, and for those of
+an evaluation (by_name.py).
 
 MJX takes a minute to compile for a CPU, and some tasks are slower than real time there. The task's own code
 stays as it is; its physics call back. Same model and options, so the same physics but for rounding

@@ -18,7 +18,7 @@ number in configs/: docs/task.md.
 - `partners`: which joint is the mirror image of another; needs no JAX
 - `mirror`: the mirror image of an observation and an action, from the robot's model
 
-Sizes follow from the robot: any number of joints and feet. It imports `types`, `physics` and `config`;
-`rewards`, `reward_sum`, `observe`, `own`, `gait` and `log_file` need no JAX, so that a policy can be played
-without.
+Sizes follow from the robot: any number of joints and feet. It imports `types`, `terrain`, `physics`,
+`description` and `config`; `rewards`, `reward_sum`, `observe`, `own`, `gait` and `log_file` need no JAX, so
+that a policy can be played without.
 """
