@@ -90,7 +90,7 @@ MAY_ALSO = {
     "terrain.map_file": FILES | PATHS,
     "physics.warp.native": FILES | PATHS,
     "physics.c_mujoco": {"threading"},
-    "physics.cores": {"os"},
+    "physics.cores": FILES | {"os"},
     "physics.warp.building": {"threading"},
 }
 
