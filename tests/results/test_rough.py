@@ -528,7 +528,7 @@ def test_a_kernel_is_told_by_its_line_and_operation(tmp_path):
     def wave(x):
         return jnp.sin(x @ x)
 
-    # conftest.py leaves places out, and programs kept from an earlier run are those of another line, even file
+    # conftest.py leaves places out, and programs kept from an earlier run are those of another line or file
     told = dict(
         jax_traceback_in_locations_limit=10, jax_compilation_cache_include_metadata_in_key=True
     )
