@@ -7,11 +7,16 @@ number and a letter: 0a and 0b share card 0, and so do their cores, the host's d
 share its memory, too: each takes what it needs, where a lane alone takes most of it at once. Runs whose
 seconds count have a card's only lane. `OUT` in a command is OUT_FOLDER. A command is ended after its
 SECONDS, or when `--seconds` of all are over, with all that it started: a run that was cut off keeps the rows
-that it has. OUT_FOLDER/LANE.log has what a lane's commands said, and OUT_FOLDER.tar.xz all of the folder.
+that it has. OUT_FOLDER/LANE.log has what a lane's commands said, and OUT_FOLDER.tar.xz all of the folder,
+written every minute and at the end. Ended by SIGTERM, it ends its commands, and writes that first.
+
+A lane whose card nvidia-smi does not list is refused before anything runs, and JAX may not fall back to a
+CPU then. Where there is no nvidia-smi, cards are not counted.
 """
 
 import argparse
 import contextlib
+import io
 import os
 import re
 import shlex
@@ -19,13 +24,16 @@ import signal
 import subprocess
 import sys
 import tarfile
+import threading
 import time
 from collections.abc import Iterable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import NamedTuple
 
 GRACE = 5.0  # s, for an ended command to write what it has
+EVERY = 60.0  # s between two packed copies of the folder
+LOOK = 0.2  # s between two looks whether a command shall end
 
 
 class Line(NamedTuple):
@@ -41,6 +49,16 @@ class Line(NamedTuple):
         return int(self.lane.rstrip("abcdefghijklmnopqrstuvwxyz"))
 
 
+class Call(NamedTuple):
+    """What all lanes share."""
+
+    out: Path
+    end: float  # of time.monotonic
+    cards: int  # among which the cores are divided
+    counted: bool  # by nvidia-smi
+    stop: threading.Event  # set: the commands that run end, and none begins
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("out", type=Path)
@@ -53,16 +71,32 @@ def main():
     if missing := [part for part in args.parts if part not in {line.part for line in every}]:
         raise SystemExit(f"{args.plan} has no part {missing[0]!r}")
     lines = [line for line in every if line.part in args.parts]
-    args.out.mkdir(parents=True, exist_ok=True)
-    end = time.monotonic() + args.seconds
-    lanes = list(dict.fromkeys(line.lane for line in lines))
     cards = max(line.card for line in lines) + 1
-    with ThreadPoolExecutor(len(lanes)) as pool:
-        each = [[line for line in lines if line.lane == lane] for lane in lanes]
-        # what a lane raises comes out when all have ended
-        list(pool.map(lambda mine: run_lane(args.out, mine, end, cards, shared(lines, mine)), each))
-    with tarfile.open(f"{args.out}.tar.xz", "w:xz", preset=3) as tar:
-        tar.add(args.out, args.out.name)
+    known, stop = counted(lines), threading.Event()
+    args.out.mkdir(parents=True, exist_ok=True)
+    call = Call(args.out, time.monotonic() + args.seconds, cards, known, stop)
+    lanes = list(dict.fromkeys(line.lane for line in lines))
+    each = [[line for line in lines if line.lane == lane] for lane in lanes]
+    before = {
+        number: signal.signal(number, lambda *_: stop.set())
+        for number in (signal.SIGTERM, signal.SIGINT)
+    }
+    try:
+        with ThreadPoolExecutor(len(lanes)) as pool:
+            running = [pool.submit(run_lane, call, mine, shared(lines, mine)) for mine in each]
+            while wait(running, EVERY).not_done:  # what is there counts if this process is killed
+                try:
+                    pack(args.out)
+                except OSError as error:
+                    print(f"{args.out}.tar.xz is not written: {error}", flush=True)
+        for lane in running:
+            lane.result()  # what a lane raised
+    finally:
+        pack(args.out)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    if stop.is_set():
+        raise SystemExit(128 + signal.SIGTERM)
 
 
 def read(plan: Path) -> Iterable[Line]:
@@ -73,7 +107,7 @@ def read(plan: Path) -> Iterable[Line]:
         try:
             part, lane, seconds, command = text.split(maxsplit=3)
             line = Line(part, lane, float(seconds), command)
-            line.card  # noqa: B018, a number
+            line.card, shlex.split(command)  # noqa: B018, a number, and quotes that end
         except ValueError:
             raise SystemExit(
                 f"{plan}:{k} is {text!r}, expected PART LANE SECONDS COMMAND, as `a 0a 300 ...`"
@@ -81,49 +115,85 @@ def read(plan: Path) -> Iterable[Line]:
         yield line
 
 
+def counted(lines: list[Line]) -> bool:
+    """Whether nvidia-smi has counted the cards; SystemExit if a line names one that is not there."""
+    try:
+        listed = subprocess.run(["nvidia-smi", "-L"], capture_output=True, text=True).stdout
+    except OSError:  # a machine without NVIDIA's driver
+        print("no nvidia-smi: cards are not counted, and JAX may compute on a CPU", flush=True)
+        return False
+    there = len(re.findall(r"^GPU \d", listed, re.MULTILINE))
+    for line in lines:
+        if not 0 <= line.card < there:
+            raise SystemExit(
+                f"lane {line.lane} is of card {line.card}, but nvidia-smi lists {there}"
+            )
+    return True
+
+
+def pack(out: Path) -> None:
+    """OUT_FOLDER.tar.xz, whole or not at all; commands may write into the folder meanwhile."""
+    whole = Path(f"{out}.tar.xz.new")
+    with tarfile.open(whole, "w:xz", preset=3) as tar:
+        for path in [out, *sorted(out.rglob("*"))]:
+            with contextlib.suppress(FileNotFoundError):  # it was renamed since it was listed
+                info = tar.gettarinfo(path, str(path.relative_to(out.parent)))
+                data = path.read_bytes() if info.isreg() else b""
+                info.size = len(data)  # it may have grown
+                tar.addfile(info, io.BytesIO(data))
+    whole.replace(f"{out}.tar.xz")
+
+
 def shared(lines: list[Line], mine: list[Line]) -> bool:
     """Whether the card of a lane has other lanes, too."""
     return len({line.lane for line in lines if line.card == mine[0].card}) > 1
 
 
-def run_lane(out: Path, lines: list[Line], end: float, cards: int, shares: bool) -> None:
-    """Run the commands of a lane, each until it is done, its seconds are over, or it is `end`."""
-    with (out / f"{lines[0].lane}.log").open("a") as log:
+def run_lane(call: Call, lines: list[Line], shares: bool) -> None:
+    """Run the commands of a lane, each until it is done, its seconds are over, or it is the call's end."""
+    with (call.out / f"{lines[0].lane}.log").open("a") as log:
         for line in lines:
-            left = min(line.seconds, end - time.monotonic())
-            if left <= 0:
-                tell(log, line, "has not run: no time is left")
+            left = min(line.seconds, call.end - time.monotonic())
+            if left <= 0 or call.stop.is_set():
+                tell(log, line, f"has not run: {'no time is left' if left <= 0 else 'all end'}")
                 continue
             began = time.monotonic()
-            code = run(line, out, log, left, cards, shares)
+            try:
+                code = run(call, line, log, left, shares)
+            except OSError as error:  # no such program; the lane's other commands run
+                tell(log, line, f"has not run: {error}")
+                continue
             took = f"{time.monotonic() - began:.0f} s"
             tell(log, line, f"ended after {took}" if code is None else f"{took}, status {code}")
 
 
-def run(line: Line, out: Path, log, seconds: float, cards: int, shares: bool) -> int | None:
+def run(call: Call, line: Line, log, seconds: float, shares: bool) -> int | None:
     """The command's exit status; None if it was ended."""
     env = os.environ | {"CUDA_VISIBLE_DEVICES": str(line.card)}
     if shares:  # else the first of JAX takes three quarters of the card, and the others end
         env["XLA_PYTHON_CLIENT_PREALLOCATE"] = "false"
+    if call.counted:  # so JAX ends without its card; callbacks and Playground's models need the CPU
+        env["JAX_PLATFORMS"] = "cuda,cpu"
     process = subprocess.Popen(
-        shlex.split(re.sub(r"\bOUT\b", str(out), line.command)),
+        shlex.split(re.sub(r"\bOUT\b", str(call.out), line.command)),
         stdout=log,
         stderr=subprocess.STDOUT,
         env=env,
         start_new_session=True,  # so that what it starts ends with it
     )
-    with contextlib.suppress(ProcessLookupError):  # it is over
-        os.sched_setaffinity(process.pid, cores(line.card, cards))
-    try:
-        return process.wait(seconds)
-    except subprocess.TimeoutExpired:
-        os.killpg(process.pid, signal.SIGTERM)
+    with contextlib.suppress(OSError):  # it is over
+        os.sched_setaffinity(process.pid, cores(line.card, call.cards))
+    end = time.monotonic() + seconds
+    while not call.stop.is_set() and time.monotonic() < end:
         with contextlib.suppress(subprocess.TimeoutExpired):
-            process.wait(GRACE)
-        with contextlib.suppress(ProcessLookupError):  # what it started, too
-            os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
-        return None
+            return process.wait(max(0.0, min(LOOK, end - time.monotonic())))
+    os.killpg(process.pid, signal.SIGTERM)
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(GRACE)
+    with contextlib.suppress(ProcessLookupError):  # what it started, too
+        os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    return None
 
 
 def cores(card: int, cards: int) -> list[int]:

@@ -4,9 +4,11 @@ import argparse
 import importlib
 import os
 import shlex
+import signal
 import subprocess
 import sys
 import tarfile
+import threading
 import time
 from pathlib import Path
 
@@ -18,6 +20,13 @@ from experiments import cards, paper
 peers = importlib.import_module("experiments.27_few.peers_table")
 ROOT = Path(__file__).resolve().parents[2]
 PLAN = ROOT / "experiments/next.txt"
+COUNTED = cards.counted
+
+
+@pytest.fixture(autouse=True)
+def no_cards(monkeypatch):
+    """As on a machine without NVIDIA's driver, wherever the tests run."""
+    monkeypatch.setattr(cards, "counted", lambda lines: False)
 
 
 def test_lanes_run_side_by_side_and_end_in_time(tmp_path, monkeypatch):
@@ -72,9 +81,88 @@ def test_a_command_that_runs_elsewhere_writes_into_the_same_folder(tmp_path, mon
 
 def test_where_no_time_is_left_a_command_does_not_begin(tmp_path):
     line = cards.Line("a", "0a", 9.0, f"touch {tmp_path}/never")
-    cards.run_lane(tmp_path, [line], time.monotonic() - 1, 1, False)
+    call = cards.Call(tmp_path, time.monotonic() - 1, 1, False, threading.Event())
+    cards.run_lane(call, [line], False)
     assert "has not run" in (tmp_path / "0a.log").read_text()
     assert not (tmp_path / "never").exists()
+
+
+def test_a_lane_whose_card_is_not_there_is_refused_before_one_runs(tmp_path, monkeypatch, capsys):
+    """nvidia-smi lists one card, and a part of it. On that JAX may not fall back to the CPU. Where there is no
+    nvidia-smi this is said."""
+    monkeypatch.setattr(cards, "counted", COUNTED)
+    smi, plan = tmp_path / "bin/nvidia-smi", tmp_path / "plan.txt"
+    smi.parent.mkdir()
+    smi.write_text("#!/bin/sh\necho 'GPU 0: NVIDIA H200 (UUID: x)'; echo '  MIG 1g.18gb'\n")
+    smi.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{smi.parent}:{os.environ['PATH']}")
+    plan.write_text("a 0a 9 sh -c 'echo $JAX_PLATFORMS > OUT/said'\nb 1a 9 touch OUT/never\n")
+    words = ["cards.py", str(tmp_path / "out"), str(plan), "a"]
+    monkeypatch.setattr(sys, "argv", [*words, "b"])
+    with pytest.raises(SystemExit, match="^lane 1a is of card 1, but nvidia-smi lists 1$"):
+        cards.main()
+    assert not (tmp_path / "out").exists()
+    monkeypatch.setattr(sys, "argv", words)
+    cards.main()
+    assert (tmp_path / "out/said").read_text() == "cuda,cpu\n"
+    capsys.readouterr()
+    monkeypatch.setenv("PATH", "")
+    assert not cards.counted([cards.Line("a", "7a", 9.0, "true")])
+    assert capsys.readouterr().out.startswith("no nvidia-smi: cards are not counted")
+
+
+def test_a_program_that_is_none_leaves_the_lanes_other_commands_and_the_packed_folder(
+    tmp_path, monkeypatch
+):
+    plan, out = tmp_path / "plan.txt", tmp_path / "out"
+    plan.write_text("a 0a 9 no-such-program\na 0a 9 touch OUT/second\n")
+    monkeypatch.setattr(sys, "argv", ["cards.py", str(out), str(plan), "a"])
+    cards.main()
+    assert "no-such-program: has not run: [Errno 2]" in (out / "0a.log").read_text()
+    with tarfile.open(f"{out}.tar.xz") as tar:
+        assert tar.getnames() == ["out", "out/0a.log", "out/second"]
+
+
+def test_the_folder_is_packed_on_the_way(tmp_path, monkeypatch):
+    """So a call that is killed has lost a minute. A file that is renamed meanwhile is left out."""
+    plan, out = tmp_path / "plan.txt", tmp_path / "out"
+    plan.write_text(
+        f"a 0a 20 sh -c 'until cp OUT.tar.xz {tmp_path}/on_the_way; do sleep 0.1; done'\n"
+    )
+    monkeypatch.setattr(cards, "EVERY", 0.2)
+    monkeypatch.setattr(sys, "argv", ["cards.py", str(out), str(plan), "a"])
+    cards.main()
+    assert (out / "0a.log").read_text().endswith("status 0\n")
+    with tarfile.open(tmp_path / "on_the_way") as tar:
+        assert tar.getnames() == ["out", "out/0a.log"]
+    (out / "b.csv").write_text("whole")
+    listed = [out / "a.csv.new", out / "b.csv"]
+    monkeypatch.setattr(Path, "rglob", lambda *_: listed)
+    cards.pack(out)
+    with tarfile.open(f"{out}.tar.xz") as tar:
+        assert tar.getnames() == ["out", "out/b.csv"]
+        assert tar.extractfile("out/b.csv").read() == b"whole"
+
+
+def test_ended_by_a_signal_it_ends_its_commands_and_packs_what_they_wrote(tmp_path):
+    plan, out = tmp_path / "plan.txt", tmp_path / "out"
+    plan.write_text(
+        f"a 0a 60 sh -c 'echo > OUT/began; sleep 88.{os.getpid()}; true'\na 0a 60 touch OUT/never\n"
+    )
+    command = [sys.executable, cards.__file__, str(out), str(plan), "a"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    for _ in range(200):
+        if (out / "began").exists():
+            break
+        time.sleep(0.1)
+    process.send_signal(signal.SIGTERM)
+    said, _ = process.communicate(timeout=30)
+    assert process.returncode == 128 + signal.SIGTERM
+    assert "touch OUT/never: has not run: all end" in said
+    running = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True).stdout
+    assert f"sleep 88.{os.getpid()}" not in running.splitlines()
+    with tarfile.open(f"{out}.tar.xz") as tar:
+        assert tar.getnames() == ["out", "out/0a.log", "out/began"]
 
 
 def test_cards_have_cores_of_their_own():
@@ -94,7 +182,7 @@ def test_a_part_that_is_none_is_refused_before_one_runs(tmp_path, monkeypatch):
     assert not (tmp_path / "never").exists()
 
 
-@pytest.mark.parametrize("text", ["a 0a soon true", "a 0a", "a x 9 true"])
+@pytest.mark.parametrize("text", ["a 0a soon true", "a 0a", "a x 9 true", "a 0a 9 echo 'x"])
 def test_a_line_that_is_none_is_refused_with_its_number(tmp_path, text):
     plan = tmp_path / "plan.txt"
     plan.write_text(f"a 0a 9 true\n{text}\n")
