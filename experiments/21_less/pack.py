@@ -12,7 +12,9 @@ from pathlib import Path
 
 from experiments import paper
 
-COLUMNS = "batch name job seed iteration sim_steps return fall_rate early tracking_error yaw_error".split()
+COLUMNS = (
+    "batch name job device commit seed iteration sim_steps return fall_rate early tracking_error yaw_error"
+).split()
 # of training; run.py's `TRAINED`
 TRAINED = (
     "falls tail_falls tail_bias model_error_1 model_error_4 model_loss_before policy_std "

@@ -10,11 +10,12 @@ rough ground). Five seeds at once from 100 on, 100 episodes of 20 s each every 2
 says otherwise (run.seed, run.num_seeds, run.eval_every ...). `control=NAME` among the fields is one of
 controls.py. With NAMEs, those jobs in their order, or all that begin so. Jobs whose CSV is there are skipped.
 A seed whose numbers are no longer finite trains on beside the others; OUT_FOLDER/NAME.log says since when.
+OUT_FOLDER/NAME.error says why a job failed; the others run, and then the command fails, too.
 While a job runs, its rows so far are in OUT_FOLDER/NAME.csv.part, so one that is stopped loses only what
-came after its last evaluation. With `--states` its state is kept there, too, until it is done, and the same
-command goes on from it; compiling once more is in its `seconds`. `--policies` writes OUT_FOLDER/NAME.K.npz,
-the policy of seed K (0, 1, ...) at the last evaluation, too. `--workers`: so many processes share the GPU,
-because compiling takes longer than training; their clocks say nothing then.
+came after its last evaluation. With `--states` its state is kept there, too, every minute until it is done,
+and the same command at the same commit goes on from it; compiling once more is in its `seconds`. `--policies`
+writes OUT_FOLDER/NAME.K.npz, the policy of seed K (0, 1, ...) at the last evaluation, too. `--workers`: so
+many processes share the GPU, because compiling takes longer than training; their clocks say nothing then.
 `--late 200 50`: after iteration 200 evaluate every 50 iterations only.
 `table.py` reads the folder.
 """
@@ -35,6 +36,7 @@ import numpy as np
 
 from dynappo import config as config_lib
 from dynappo import schedule
+from dynappo.config import versions
 from dynappo.description import robot as robot_lib
 from dynappo.policy import policy_file
 from dynappo.program import build, devices, distributed
@@ -45,6 +47,7 @@ from experiments import paper
 controls = importlib.import_module("experiments.21_less.controls")
 
 DEFAULTS = dict(seed=100, num_seeds=5, eval_every=20, eval_envs=100, eval_steps=1000)
+KEEP = 60.0  # s between two states of a job that are kept: one of 20 seeds is a gigabyte
 MEASURED = "return", "fall_rate", "tracking_error", "yaw_error"  # those that an evaluation has
 MEASURED = *MEASURED, "crossed", "fell", *tiles.KINDS, "map"  # and of 28_rough/run.py
 # the same, of training
@@ -71,7 +74,9 @@ def main(about=__doc__, script=__file__, evaluation=None):
     if args.only:
         devices.own_process()
         job, *fields = jobs[args.only].split()
-        states = args.states and args.states / args.jobs.stem / args.only
+        # two folders may have files of one name
+        file = args.jobs.resolve()
+        states = args.states and args.states / file.parent.name / file.stem / args.only
         run(args.out / args.only, job, fields, args.policies, args.late, evaluation, states)
         return
 
@@ -83,13 +88,19 @@ def main(about=__doc__, script=__file__, evaluation=None):
         room = {"XLA_PYTHON_CLIENT_PREALLOCATE": "false"} if args.workers > 1 else {}
         done = subprocess.run(command, env=os.environ | room, capture_output=True, text=True)
         said = (done.stderr.strip() or str(done.returncode)).splitlines()[-1]
+        error = args.out / f"{name}.error"
+        error.unlink(missing_ok=True)  # of a try before
         if done.returncode:
-            (args.out / f"{name}.log").write_text(done.stderr)
+            error.write_text(done.stderr)
         print(name, "done" if done.returncode == 0 else said, flush=True)
+        return done.returncode
 
     asked = paper.chosen(jobs, args.names)
+    left = [name for name in asked if not (args.out / f"{name}.csv").exists()]
     with ThreadPoolExecutor(args.workers) as pool:
-        list(pool.map(start, [name for name in asked if not (args.out / f"{name}.csv").exists()]))
+        codes = list(pool.map(start, left))
+    if failed := [name for name, code in zip(left, codes, strict=True) if code]:
+        raise SystemExit(f"failed: {', '.join(failed)}")
 
 
 def run(
@@ -102,8 +113,8 @@ def run(
     states: Path | None = None,
 ) -> None:
     """Train, and write TO.csv, a row an evaluation and seed, and with `policies` those of the seeds as
-    TO.K.npz. After each evaluation TO.csv.part has the rows so far, and `states` what a run that is
-    stopped goes on from.
+    TO.K.npz. After each evaluation TO.csv.part has the rows so far. `states` has what a run that is stopped
+    goes on from: of the first evaluation, and of the first one `KEEP` s after the last that was kept.
 
     `evaluation(config) -> f(state) -> columns [S]` by name, in place of the program's own.
     """
@@ -126,7 +137,8 @@ def run(
     evaluate = evaluation(config) if evaluation else program.evaluate
     state, steps, seconds, first, rows = program.state, schedule.sim_steps(config), 0.0, 0, []
     since: dict[int, str] = {}
-    about = " ".join([job, *fields]), late
+    about = " ".join([job, *fields]), late, versions.commit()
+    kept_at = -math.inf
     if states and states.exists():
         state, seconds, first, rows, since = kept(states, state, about)
         write(part, rows)
@@ -138,12 +150,13 @@ def run(
         state, trained = jax.block_until_ready(program.step(program.hyper, state, chunk))
         seconds, first = seconds + time.perf_counter() - began, last
         overflow.check(trained | chunk)
-        since = blown_up(trained | chunk, seeds) | since
+        since = blown_up(trained | chunk, seeds, config.run.seed) | since
         if since:
             to.with_name(f"{to.name}.log").write_text("".join(since.values()))
         found = measured(evaluate(state), trained)
         for s in range(seeds):
-            whose = {"job": about[0], "seed": config.run.seed + s}
+            whose = {"job": about[0], "device": program.device, "commit": about[-1]}
+            whose |= {"seed": config.run.seed + s}
             when = {
                 "iteration": last,
                 "sim_steps": int(steps[last - 1]),
@@ -153,8 +166,9 @@ def run(
         write(part, rows)
         if policies:
             save_policies(to, state, config, last, int(steps[last - 1]))
-        if states:
+        if states and time.monotonic() - kept_at >= KEEP:
             keep(states, state, about, seconds, first, rows, since)
+            kept_at = time.monotonic()
     part.replace(to.with_name(f"{to.name}.csv"))
     if states:
         states.unlink(missing_ok=True)
@@ -195,14 +209,15 @@ def text(x) -> str:
     return x if isinstance(x, str) else f"{x:.4g}"
 
 
-def blown_up(trained: dict, seeds: int) -> dict[int, str]:
-    """A line for each seed with a number that is not finite: the first one, and its iteration."""
+def blown_up(trained: dict, seeds: int, begin: int) -> dict[int, str]:
+    """A line for each of the seeds from `begin` on with a number that is not finite: the first one, and its
+    iteration."""
     trained = {name: np.asarray(x) for name, x in trained.items()}
     lines = {}
     for s in range(seeds):
         own = {name: x[:, s] if x.ndim > 1 else x for name, x in trained.items()}
         if found := nonfinite.first_metric(own, own.get("model_epochs")):
-            lines[s] = "seed {}: {} is not finite in iteration {}\n".format(s, *found)
+            lines[s] = "seed {}: {} is not finite in iteration {}\n".format(begin + s, *found)
     return lines
 
 

@@ -33,7 +33,7 @@ from dynappo.policy import walks
 from dynappo.run import learning_curves as curves
 from experiments import paper, stats
 
-TEXT = ("job", "name", "batch")
+TEXT = ("job", "name", "batch", "device", "commit")
 END = ("return", "fall_rate", "tracking_error")
 LEVELS = {45: (20, 30, 35, 40), 30: (15, 20, 22, 25)}  # by the best possible return
 ROBOTS = {"g": "Go1", "h": "Go2", "c": "ANYmal-C", "d": "ANYmal-D"}

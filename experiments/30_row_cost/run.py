@@ -158,7 +158,7 @@ def train(config, program, state) -> tuple[list[dict], list]:
         state, metrics = jax.block_until_ready(program.step(program.hyper, state, columns))
         seconds, first = seconds + time.perf_counter() - began, last
         overflow.check(metrics | columns)
-        print(*less.blown_up(metrics | columns, 1).values(), end="")
+        print(*less.blown_up(metrics | columns, 1, config.run.seed).values(), end="")
         policies.append(jax.tree.map(jnp.copy, state.learner.params))
         row = {"iteration": last, "sim_steps": int(steps[last - 1]), "seconds": f"{seconds:.4f}"}
         rows.append(row)

@@ -88,8 +88,8 @@ def test_where_no_time_is_left_a_command_does_not_begin(tmp_path):
 
 
 def test_a_lane_whose_card_is_not_there_is_refused_before_one_runs(tmp_path, monkeypatch, capsys):
-    """nvidia-smi lists one card, and a part of it. On that JAX may not fall back to the CPU. Where there is no
-    nvidia-smi this is said."""
+    """nvidia-smi lists one card, and a part of it. On that JAX may not fall back to the CPU. Where there is
+    no nvidia-smi this is said."""
     monkeypatch.setattr(cards, "counted", COUNTED)
     smi, plan = tmp_path / "bin/nvidia-smi", tmp_path / "plan.txt"
     smi.parent.mkdir()
@@ -198,7 +198,10 @@ def test_of_jobs_only_those_run_whose_names_begin_as_asked(tmp_path, monkeypatch
 
     def run(command, **_):
         started.append(command[-1])
-        return subprocess.CompletedProcess(command, 0, "", "")
+        failed = command[-1] == fails
+        return subprocess.CompletedProcess(command, failed, "", "out of memory\n" * failed)
+
+    fails = ""
 
     monkeypatch.setattr(less.subprocess, "run", run)
     for names, expected in (
@@ -213,6 +216,34 @@ def test_of_jobs_only_those_run_whose_names_begin_as_asked(tmp_path, monkeypatch
     monkeypatch.setattr(sys, "argv", ["run.py", str(tmp_path), str(jobs), "go1", "x"])
     with pytest.raises(SystemExit, match="x: no job"):
         less.main()
+    # one that fails: the others run, why is beside what its log said, and the command fails
+    monkeypatch.setattr(sys, "argv", ["run.py", str(tmp_path), str(jobs)])
+    (tmp_path / "go1-a.log").write_text("seed 100: value_loss is not finite in iteration 3\n")
+    started.clear()
+    fails = "go1-a"
+    with pytest.raises(SystemExit, match="^failed: go1-a$"):
+        less.main()
+    assert started == ["go1-a", "go2-a"]
+    assert "not finite" in (tmp_path / "go1-a.log").read_text()
+    assert (tmp_path / "go1-a.error").read_text() == "out of memory\n"
+    fails = ""
+    less.main()
+    assert not (tmp_path / "go1-a.error").exists()
+
+
+def test_states_of_two_files_of_one_name_are_apart(tmp_path, monkeypatch):
+    """fresh.txt of 27_few and of 23_untuned, named from their folders."""
+    less, paths = importlib.import_module("experiments.21_less.run"), []
+    monkeypatch.setattr(less, "run", lambda *given: paths.append(given[-1]))
+    monkeypatch.setattr(less.devices, "own_process", lambda: None)
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "jobs.txt").write_text("best-g go1:best\n")
+        monkeypatch.chdir(tmp_path / folder)
+        words = ["run.py", str(tmp_path / "out"), "jobs.txt", "--only", "best-g"]
+        monkeypatch.setattr(sys, "argv", [*words, "--states", "/states"])
+        less.main()
+    assert paths == [Path(f"/states/{folder}/jobs/best-g") for folder in ("a", "b")]
 
 
 def test_what_runs_next_names_scripts_and_jobs_that_there_are():

@@ -550,6 +550,21 @@ def test_runs_of_two_batches_are_not_one_and_other_settings_of_a_name_are_apart(
     assert np.isnan(jobs["a-g"][1]["early"])  # an empty cell
 
 
+def test_where_a_run_was_is_packed_and_no_number_to_the_table(tmp_path, monkeypatch):
+    row = {"job": "go1:best", "device": "NVIDIA H200", "commit": "abc", "seed": 3, "iteration": 5}
+    row |= {"sim_steps": 10, "seconds": 1.0, "return": 40, "fall_rate": 0.0}
+    (tmp_path / "runs").mkdir()
+    script("21_less/run").write(tmp_path / "runs/a-g.csv", [row])
+    to, folder = tmp_path / "runs.csv.xz", tmp_path / "runs"
+    monkeypatch.setattr(sys, "argv", ["pack.py", str(to), "7", str(folder)])
+    script("21_less/pack").main()
+    table = script("21_less/table")
+    for path in (folder, to):
+        ((found,),) = table.read(path).values()
+        assert (found["device"], found["commit"], found["return"]) == ("NVIDIA H200", "abc", 40)
+    assert "seconds" not in found and found["batch"] == "7"
+
+
 def test_a_robot_stays_from_the_evaluation_on_after_which_none_is_bad():
     reached = script("21_less/table").reached
     ends = ((39.0, 0.0), (41.0, 0.02), (37.9, 0.0), (38.0, 0.01), (42.0, 0.03))

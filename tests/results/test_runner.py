@@ -27,18 +27,19 @@ def test_a_seed_that_blew_up_is_told_with_its_first_iteration():
     losses = np.array([[1, 1, nan], [2, nan, nan], [nan, nan, nan]])  # iterations, seeds
     told = {"iteration": np.array([7, 8, 9]), "model_epochs": np.array([1, 1, 0])}
     returns = {"episode_return": np.full((3, 3), nan)}
-    assert bad(told | returns | {"model_loss": losses}, 3) == {
-        1: "seed 1: model_loss is not finite in iteration 8\n",
-        2: "seed 2: model_loss is not finite in iteration 7\n",
+    assert bad(told | returns | {"model_loss": losses}, 3, 1300) == {
+        1: "seed 1301: model_loss is not finite in iteration 8\n",
+        2: "seed 1302: model_loss is not finite in iteration 7\n",
     }
-    assert bad(told | {"value_loss": np.array([1, nan, nan])}, 1) == {
+    assert bad(told | {"value_loss": np.array([1, nan, nan])}, 1, 0) == {
         0: "seed 0: value_loss is not finite in iteration 8\n"
     }
-    assert bad(told | {"value_loss": np.ones((3, 3))}, 3) == {}
+    assert bad(told | {"value_loss": np.ones((3, 3))}, 3, 0) == {}
 
 
 def test_a_run_that_was_stopped_goes_on_from_its_last_evaluation(tmp_path, monkeypatch):
-    """Stopped after two of four chunks, with a random key in its state: the rows of one that was not."""
+    """Stopped after two of four chunks, with a random key in its state: the rows of one that was not, though
+    a minute had not gone by and the state is that of the first chunk. At another commit it does not."""
     run, stop_at, ran = script("21_less/run"), [None], []
 
     def step(hyper, state, columns):
@@ -54,11 +55,14 @@ def test_a_run_that_was_stopped_goes_on_from_its_last_evaluation(tmp_path, monke
         state=first,
         step=step,
         hyper=None,
+        device="a card",
         columns={"sim_steps": np.arange(20), "iteration": np.arange(20)},
         evaluate=lambda state: {"return": state[0], "fall_rate": state[0]},
     )
     monkeypatch.setattr(run.build, "program", lambda config: program)
     monkeypatch.setattr(run.overflow, "check", lambda metrics: None)
+    monkeypatch.setattr(run.versions, "commit", lambda: commit[0])
+    commit = ["abc"]
     fields = "run.num_iterations=20 run.eval_every=5 run.num_seeds=2 run.device=cpu".split()
 
     def rows(name, states=None):
@@ -68,6 +72,7 @@ def test_a_run_that_was_stopped_goes_on_from_its_last_evaluation(tmp_path, monke
 
     whole = rows("whole")
     assert len(whole) == 8 and ran == [5] * 4
+    assert {(row["device"], row["commit"]) for row in whole} == {("a card", "abc")}
     ran.clear()
     stop_at[0] = 2
     with pytest.raises(KeyboardInterrupt):
@@ -75,9 +80,20 @@ def test_a_run_that_was_stopped_goes_on_from_its_last_evaluation(tmp_path, monke
     assert len((tmp_path / "cut.csv.part").read_text().splitlines()) == 5
     stop_at[0] = None
     before = (tmp_path / "states/cut").read_bytes()
-    assert rows("cut", tmp_path / "states/cut") == whole and ran == [5] * 4
+    assert rows("cut", tmp_path / "states/cut") == whole and ran == [5] * 5
     assert not (tmp_path / "states/cut").exists()
+    monkeypatch.setattr(run, "KEEP", 0.0)  # a minute has gone by at each evaluation
+    ran.clear()
+    stop_at[0] = 2
+    with pytest.raises(KeyboardInterrupt):
+        rows("often", tmp_path / "states/often")
+    stop_at[0] = None
+    assert rows("often", tmp_path / "states/often") == whole and ran == [5] * 4
     (tmp_path / "states/cut").write_bytes(before)
+    commit[0] = "abc-dirty"
+    with pytest.raises(SystemExit, match="'abc'.*, expected .*'abc-dirty'.*; remove it"):
+        rows("cut", tmp_path / "states/cut")
+    commit[0] = "abc"
     fields[0] = "run.num_iterations=30"
     with pytest.raises(SystemExit, match="iterations=20.* expected .*iterations=30.*; remove it"):
         rows("cut", tmp_path / "states/cut")
