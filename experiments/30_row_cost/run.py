@@ -6,7 +6,10 @@ A line of JOBS.txt is `NAME ROBOT:VARIANT [FIELD=VALUE ...]` and becomes OUT_FOL
 evaluation and seed; with PLACEs, those jobs in their order, or all that begin so. Four fields are not of the
 config: `seeds=5` trains so many from run.seed on, one after another, by one compiled program; `episodes=500`
 of `steps=1000` control steps are an evaluation; `engine=mujoco_warp` simulates by MuJoCo Warp's own step what
-a kernel of ours would take. A job has a process of its own, and jobs whose CSV is there are skipped.
+a kernel of ours would take. A job has a process of its own, and jobs whose CSV is there are skipped. One that
+was cut off goes on after the seeds in OUT_FOLDER/NAME.part, at the same commit. OUT_FOLDER/NAME.log names a
+seed whose numbers are no longer finite, and NAME.error says why a job failed; the command fails then, too,
+when the others have run.
 
 `seconds` are those of training alone: the policies of every `run.log_every` iterations are kept, and
 evaluated when the run is over, all at once. Each row also has what a simulated row, one of a tail, a fit and
@@ -17,6 +20,7 @@ that XLA shares it may choose slower kernels, so compare an iteration with one o
 `table.py --add` reads the folder.
 """
 
+import csv
 import importlib
 import os
 import subprocess
@@ -70,18 +74,21 @@ def main():
         room = {"XLA_PYTHON_CLIENT_PREALLOCATE": "false"} if more else {}
         began = time.perf_counter()
         done = subprocess.run(command, env=os.environ | room, capture_output=True, text=True)
+        error = args.out / f"{name}.error"
+        error.unlink(missing_ok=True)  # of a try before
         if done.returncode:
-            (args.out / f"{name}.log").write_text(done.stderr)
+            error.write_text(done.stderr)
         said = (done.stdout if not done.returncode else done.stderr).strip().splitlines()
         took = f"{time.perf_counter() - began:.0f} s in all"
         print(name, *more, said[-1] if said else done.returncode, took, sep="; ", flush=True)
+        return done.returncode
 
     left = [name for name in jobs if not (args.out / f"{name}.csv").exists()]
     if args.ahead:
         with ThreadPoolExecutor(args.ahead) as pool:
             list(pool.map(lambda name: start(name, "--compile"), left))
-    for name in left:
-        start(name)
+    if failed := [name for name in left if start(name)]:
+        raise SystemExit(f"failed: {', '.join(failed)}")
 
 
 class Job(NamedTuple):
@@ -125,21 +132,44 @@ def one(path: Path, job: Job, compile: bool = False) -> None:
         if flat:
             play.lower(*given(program, [first] * len(ends(config)))).compile()
         return
-    about = {"job": job.text, "device": program.device, "commit": versions.commit()}
+    about = {"job": job.text, "device": program.device, "commit": versions.commit() or ""}
+    part = path.with_suffix(".part")
+    rows = finished(part, about)
+    there = {int(row["seed"]) for row in rows}
     about |= parts(config, program)
-    rows, began = [], time.perf_counter()
+    began = time.perf_counter()
     for seed in range(config.run.seed, config.run.seed + job.seeds):
+        if seed in there:
+            continue
         state = program.place(init(program.hyper, jax.random.key(seed)))
-        trained, policies = train(config, program, state)
+        trained, policies, lost = train(config, program, state, seed)
         found = measure(policies)
         for k, row in enumerate(trained):
             told = {name: less.text(x[k]) for name, x in found.items()}
             rows.append(about | {"seed": seed} | row | told)
-        less.write(path.with_suffix(".part"), rows)
-    path.with_suffix(".part").replace(path)
+        less.write(part, rows)
+        if lost:
+            with path.with_suffix(".log").open("a") as file:
+                file.write(lost)
+    part.replace(path)
     took = time.perf_counter() - began
-    ms = 1e3 * float(rows[-1]["seconds"]) / rows[-1]["iteration"]
-    print(f"{ms:.2f} ms an iteration; {took:.0f} s of {job.seeds} seeds")
+    ms = 1e3 * float(rows[-1]["seconds"]) / int(rows[-1]["iteration"])
+    print(f"{ms:.2f} ms an iteration; {took:.0f} s of {job.seeds - len(there)} seeds")
+
+
+def finished(part: Path, about: dict[str, str]) -> list[dict]:
+    """Rows of `part`, which has the whole seeds of a job that was cut off; SystemExit if they are of another
+    job, device or commit."""
+    if not part.exists():
+        return []
+    with part.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    for row in rows:
+        if (found := {name: row[name] for name in about}) != about:
+            raise SystemExit(
+                f"{part} is of {found}, expected {about}; remove it, or choose another OUT_FOLDER"
+            )
+    return rows
 
 
 def ends(config) -> range:
@@ -148,9 +178,11 @@ def ends(config) -> range:
     return range(every, config.run.num_iterations + 1, every)
 
 
-def train(config, program, state) -> tuple[list[dict], list]:
-    """`(rows, policies)`: iteration, simulator steps and seconds so far, of each time to evaluate."""
+def train(config, program, state, seed: int) -> tuple[list[dict], list, str]:
+    """`(rows, policies, lost)`: iteration, simulator steps and seconds so far, of each time to evaluate; the
+    line that says since when the seed's numbers are not finite, if they are not."""
     steps, seconds, first, rows, policies = schedule.sim_steps(config), 0.0, 0, [], []
+    lost = ""
     for last in ends(config):
         columns = {name: column[first:last] for name, column in program.columns.items()}
         jax.block_until_ready(state)
@@ -158,11 +190,11 @@ def train(config, program, state) -> tuple[list[dict], list]:
         state, metrics = jax.block_until_ready(program.step(program.hyper, state, columns))
         seconds, first = seconds + time.perf_counter() - began, last
         overflow.check(metrics | columns)
-        print(*less.blown_up(metrics | columns, 1, config.run.seed).values(), end="")
+        lost = lost or "".join(less.blown_up(metrics | columns, 1, seed).values())
         policies.append(jax.tree.map(jnp.copy, state.learner.params))
         row = {"iteration": last, "sim_steps": int(steps[last - 1]), "seconds": f"{seconds:.4f}"}
         rows.append(row)
-    return rows, policies
+    return rows, policies, lost
 
 
 def episodes(job: Job, program):

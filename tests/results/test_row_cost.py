@@ -1105,16 +1105,83 @@ def test_a_run_alone_is_timed_between_evaluations_and_keeps_its_policies(monkeyp
     def step(hyper, state, columns):
         more = len(columns["iteration"])
         params = state.learner.params + more
-        metrics = {"policy_std": np.ones(more), "iteration": columns["iteration"]}
+        last = columns["iteration"][-1]
+        metrics = {"policy_std": np.full(more, 1.0 if last < 20 else np.nan)}
+        metrics["iteration"] = columns["iteration"]
         return types.SimpleNamespace(learner=types.SimpleNamespace(params=params)), metrics
 
     program = types.SimpleNamespace(step=step, hyper=0, columns=schedule.columns(job.config))
     state = types.SimpleNamespace(learner=types.SimpleNamespace(params=jnp.zeros(())))
-    rows, policies = measure.train(job.config, program, state)
+    rows, policies, lost = measure.train(job.config, program, state, 7)
     steps = schedule.sim_steps(job.config)
     assert [row["seconds"] for row in rows] == ["0.5000", "0.7500"]
     assert [row["sim_steps"] for row in rows] == [steps[9], steps[19]]
     assert policies == [10, 20] and (job.seeds, job.episodes) == (2, 500)
+    assert lost == "seed 7: policy_std is not finite in iteration 11\n"
+
+
+def test_a_run_alone_that_was_cut_goes_on_after_its_whole_seeds(tmp_path, monkeypatch):
+    """Of three seeds the second is cut off. Then it and the third run, and the log names each NaN once.
+    Rows of another commit are refused."""
+    measure, ran, commit = script(f"{ROW_COST}/run"), [], ["abc"]
+    job = measure.read("go1:best", ["seeds=3", "run.seed=1300"])
+    program = types.SimpleNamespace(
+        env=0, static=0, hyper=0, device="a card", place=lambda state: state
+    )
+
+    def train(config, program, state, seed):
+        ran.append(seed)
+        if ran == [1300, 1301]:
+            raise KeyboardInterrupt
+        row = {"iteration": 10, "sim_steps": 90, "seconds": f"{seed}.5"}
+        return [row], [None], f"seed {seed}: kl is not finite\n" * (seed < 1302)
+
+    for what, name, value in (
+        (measure.devices, "own_process", lambda device: None),
+        (measure.build, "check", lambda config: None),
+        (measure.build, "program", lambda config: program),
+        (measure.algorithm, "init", lambda env, hyper, key, static: hyper),
+        (measure.versions, "commit", lambda: commit[0]),
+        (measure, "parts", lambda *_: {"row_ms": "0.2"}),
+        (measure, "scores", lambda *_: {"return": [40.0]}),
+        (measure, "train", train),
+    ):
+        monkeypatch.setattr(what, name, value)
+    path = tmp_path / "best-g.csv"
+    with pytest.raises(KeyboardInterrupt):
+        measure.one(path, job)
+    commit[0] = "abd"
+    with pytest.raises(SystemExit, match="best-g.part is of .*'abc'.*, expected .*'abd'"):
+        measure.one(path, job)
+    commit[0] = "abc"
+    measure.one(path, job)
+    assert ran == [1300, 1301, 1301, 1302] and not path.with_suffix(".part").exists()
+    rows = paper.rows(path)
+    assert [row["seed"] for row in rows] == [1300, 1301, 1302]
+    assert [row["seconds"] for row in rows] == [1300.5, 1301.5, 1302.5]
+    told = [line.split(":")[0] for line in path.with_suffix(".log").read_text().splitlines()]
+    assert told == ["seed 1300", "seed 1301"]
+
+
+def test_the_command_of_runs_alone_fails_with_one_of_them(tmp_path, monkeypatch):
+    """The other runs; why is beside the log, and goes when it has run."""
+    measure, jobs, codes = script(f"{ROW_COST}/run"), tmp_path / "jobs.txt", {"a": 1, "b": 0}
+    jobs.write_text("a go1:best\nb go1:best\n")
+    (tmp_path / "a.log").write_text("seed 3: kl is not finite\n")
+
+    def run(command, **_):
+        code = codes[command[-1]]
+        return types.SimpleNamespace(returncode=code, stdout="", stderr="no memory\n" * code)
+
+    monkeypatch.setattr(measure.subprocess, "run", run)
+    monkeypatch.setattr(sys, "argv", ["run.py", str(tmp_path), str(jobs)])
+    with pytest.raises(SystemExit, match="^failed: a$"):
+        measure.main()
+    assert (tmp_path / "a.error").read_text() == "no memory\n"
+    assert "not finite" in (tmp_path / "a.log").read_text()
+    codes["a"] = 0
+    measure.main()
+    assert not (tmp_path / "a.error").exists()
 
 
 def test_what_a_rough_row_costs_is_as_the_page_says():
