@@ -1,27 +1,31 @@
 """Runs of 21_less/run.py with few robots: the return, with falls, after thousands of simulator steps.
 
     python experiments/27_few/table.py FOLDER_OR_PACKED_FILE [--batch fresh] [--at 10 15 20 27 43]
-    python experiments/27_few/table.py experiments/27_few/results/seconds.csv.xz --seconds
+    python experiments/27_few/table.py experiments/27_few/results/seconds.csv.xz --seconds [--pack FOLDER]
 
 A row a job: means over its seeds, between two evaluations on a straight line, empty where runs have ended;
 the first evaluation at the level (ANYmals 24, else 38), mean and last of the seeds that get there, in
 thousands of steps; how many of the seeds walk at the end: from some evaluation on always at the level and
 with falls in at most 1 % of the episodes.
 
-`--seconds`: of runs of 30_row_cost/run.py, alone on a card, a row a number of robots: thousand steps and
-seconds to the level, seconds to a walk (mean, last); ms of an iteration, and of its real rows, fit, tails and
-PPO, each measured by itself; steps and seconds of a whole run.
+`--seconds`: of runs of 30_row_cost/run.py, alone on a card, a row a job, by its number of robots, with its
+config where the file has several: thousand steps and seconds to the level, seconds to a walk (mean, last); ms
+of an iteration, and of its real rows, fit, tails and PPO, each measured by itself; steps and seconds of a
+whole run. Of two jobs `default-X` and `best-X` a line has the ratio of the seconds to the level, with
+Fieller's 95 % interval. `--pack` first puts the CSVs that 30_row_cost/run.py wrote into FOLDER into the file,
+in place of jobs of the same name.
 """
 
 import csv
 import importlib
+import io
 import lzma
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from experiments import paper
+from experiments import paper, stats
 
 runs = importlib.import_module("experiments.21_less.table")
 cost = importlib.import_module("experiments.30_row_cost.table")
@@ -33,9 +37,15 @@ def main():
     parser.add_argument("--batch", help="of a packed file, this one alone")
     parser.add_argument("--at", type=float, nargs="+", default=[10.0, 15.0, 20.0, 27.0, 43.0])
     parser.add_argument("--seconds", action="store_true")
+    parser.add_argument("--pack", type=Path, metavar="FOLDER", help="with --seconds")
     args = parser.parse_args()
+    if args.pack and not args.seconds:
+        parser.error("--pack is of --seconds; runs that share a card: 21_less/pack.py")
+    if args.pack:
+        pack(args.path, args.pack)
     if args.seconds:
-        print(seconds(alone(args.path)))
+        found = alone(args.path)
+        print("\n\n".join([seconds(found), *ratios(found)]))
         return
     print(table(read(args.path, args.batch), args.at))
 
@@ -105,11 +115,34 @@ def level_of(rows: list[dict]) -> int:
 class Alone(NamedTuple):
     """Seeds of a job that had a card alone, one after the other."""
 
+    name: str
+    config: str  # ROBOT:VARIANT
     robots: int
     level: np.ndarray  # [S, 3]: iteration, simulator steps, seconds; NaN: never
     walks: np.ndarray
     parts: tuple[float, ...]  # ms of an iteration: real rows, fit, tails, PPO
     end: np.ndarray  # [S, 3]: those of the whole run
+
+
+def pack(path: Path, folder: Path) -> None:
+    """The CSVs of a folder into a packed file, in place of jobs of the same name."""
+    files = sorted(folder.glob("*.csv"))
+    if not files:
+        raise SystemExit(f"{folder} has no NAME.csv of 30_row_cost/run.py")
+    rows = []
+    if path.exists():
+        with lzma.open(path, "rt", newline="") as file:
+            again = {one.stem for one in files}
+            rows = [row for row in csv.DictReader(file) if row["name"] not in again]
+    for one in files:
+        with one.open(newline="") as file:
+            rows += [{"name": one.stem} | row for row in csv.DictReader(file)]
+    text = io.StringIO(newline="")
+    columns = dict.fromkeys(name for row in rows for name in row)
+    writer = csv.DictWriter(text, [*columns], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    path.write_bytes(lzma.compress(text.getvalue().encode(), preset=9))
 
 
 def alone(path: Path) -> list[Alone]:
@@ -118,10 +151,11 @@ def alone(path: Path) -> list[Alone]:
     with lzma.open(path, "rt", newline="") as file:
         for row in csv.DictReader(file):
             jobs.setdefault(row["name"], {}).setdefault(row["seed"], []).append(row)
-    return sorted((alone_of([*job.values()]) for job in jobs.values()), key=lambda x: x.robots)
+    found = [alone_of(name, [*job.values()]) for name, job in jobs.items()]
+    return sorted(found, key=lambda x: x.robots)
 
 
-def alone_of(each: list[list[dict]]) -> Alone:
+def alone_of(name: str, each: list[list[dict]]) -> Alone:
     measure = importlib.import_module("experiments.30_row_cost.run")  # with JAX
     first, run = each[0][0], cost.of_job("", "", each)
     job, *fields = first["job"].split()
@@ -131,11 +165,17 @@ def alone_of(each: list[list[dict]]) -> Alone:
     ms = [float(first[name]) for name in ("row_ms", "fit_ms", "tail_ms", "ppo_ms")]
     parts = tuple(n * x for n, x in zip(counts, ms, strict=True))
     end = np.array([[float(rows[-1][name]) for name in cost.COUNTED] for rows in each])
-    return Alone(config.rollout.num_envs, run.level, run.walks, parts, end)
+    return Alone(name, job, config.rollout.num_envs, run.level, run.walks, parts, end)
 
 
 def seconds(found: list[Alone]) -> str:
-    heads = ["robots", "thousand steps to the level", "seconds to the level", "seconds to a walk"]
+    several = len({one.config for one in found}) > 1
+    heads = ["config"] * several + [
+        "robots",
+        "thousand steps to the level",
+        "seconds to the level",
+        "seconds to a walk",
+    ]
     heads += [
         "ms an iteration",
         "real rows + fit + tails + PPO, ms",
@@ -144,7 +184,11 @@ def seconds(found: list[Alone]) -> str:
     lines = []
     for one in found:
         ms, whole = 1e3 * one.end[:, 2] / one.end[:, 0], one.end.mean(0)
-        cells = [f"{one.robots}", last(one.level[:, 1] / 1e3, 1), last(one.level[:, 2], 2)]
+        cells = [one.config] * several + [
+            f"{one.robots}",
+            last(one.level[:, 1] / 1e3, 1),
+            last(one.level[:, 2], 2),
+        ]
         cells += [last(one.walks[:, 2], 1), f"{ms.mean():.1f}"]
         cells += [
             " + ".join(f"{x:.1f}" for x in one.parts),
@@ -152,6 +196,22 @@ def seconds(found: list[Alone]) -> str:
         ]
         lines.append(cells)
     return paper.markdown(heads, lines)
+
+
+def ratios(found: list[Alone]) -> list[str]:
+    """A line for each `default-X` and `best-X`: seconds to the level of the first by those of the second."""
+    named, lines = {one.name: one for one in found}, []
+    for name, one in named.items():
+        if not name.startswith("default-") or not (best := named.get(f"best-{name[8:]}")):
+            continue
+        there = [np.isfinite(x.level[:, 2]) for x in (one, best)]
+        if all(x.all() for x in there):
+            ratio = stats.ratio(one.level[:, 2], best.level[:, 2])
+            told = f"{ratio.value:.2f} ({ratio.low:.2f} to {ratio.high:.2f})"
+        else:  # a mean of those that get there would be too low
+            told = " and ".join(f"{x.sum()} of {len(x)} seeds get there" for x in there)
+        lines.append(f"seconds to the level, {name} by {best.name}: {told}")
+    return lines
 
 
 def last(values, digits: int) -> str:

@@ -95,6 +95,10 @@ def add(batch: str, folders: list[Path]) -> None:
     """Into results/alone.csv.xz, in place of jobs of that batch with the same names."""
     new = []
     for path in sorted(path for folder in folders for path in folder.glob("*.csv")):
+        if "." not in path.stem:  # 27_few/table.py --pack takes those
+            raise SystemExit(
+                f"{path} is not added: expected a name PLACE.METHOD, as go1.kernel.best"
+            )
         with path.open(newline="") as file:
             new += [{"batch": batch, "name": path.stem} | row for row in csv.DictReader(file)]
     again = {(row["batch"], row["name"]) for row in new}

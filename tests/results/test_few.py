@@ -3,8 +3,10 @@
 import csv
 import lzma
 import re
+import sys
 
 import numpy as np
+import pytest
 import scipy.stats
 from result_files import EXPERIMENTS, cells, few_jobs, few_of, less, script, shows
 
@@ -890,6 +892,53 @@ def test_the_seconds_of_few_robots_are_those_of_their_runs():
     told = f"(seeds 1100 to 1104, {measure.EPISODES} episodes an evaluation, one every"
     assert f"{told} {(at[4] - at[3]) / 1e3:.0f} k steps;" in words
     assert all("episodes=" not in r["job"] for r in asked)
+
+
+def test_seconds_of_few_robots_are_packed_as_the_file_has_them(tmp_path):
+    """Out of seconds.csv.xz and in again; a job of the same name is replaced, the others stay."""
+    table, path = script("27_few/table"), EXPERIMENTS / "27_few/results/seconds.csv.xz"
+    text = lzma.decompress(path.read_bytes()).decode()
+    head, *lines = text.splitlines(keepends=True)
+    for line in lines:
+        name, _, rest = line.partition(",")
+        with (tmp_path / f"{name}.csv").open("a") as file:
+            file.write(rest if file.tell() else head.removeprefix("name,") + rest)
+    to = tmp_path / "seconds.csv.xz"
+    for _ in range(2):
+        table.pack(to, tmp_path)
+        assert lzma.decompress(to.read_bytes()).decode() == text
+    with pytest.raises(SystemExit, match="has no NAME.csv of 30_row_cost/run.py"):
+        table.pack(to, tmp_path / "nothing")
+
+
+def test_seconds_of_two_configs_are_told_apart_and_compared(tmp_path, monkeypatch, capsys):
+    """default.txt's two on a Go1: at the level after 2, 3, 4 s and 1, 2, 3; then a seed is not there."""
+    table, jobs = script("27_few/table"), EXPERIMENTS / "27_few/default.txt"
+    jobs = dict(line.split(None, 1) for line in jobs.read_text().splitlines())
+    head = "job,row_ms,tail_ms,fit_ms,ppo_ms,seed,iteration,sim_steps,seconds,return,fall_rate\n"
+
+    def write(name, seconds, back=40):
+        rows = [f"{jobs[name]},1,1,1,1,{s},9,99,{t},{back},0\n" for s, t in enumerate(seconds)]
+        (tmp_path / f"{name}.csv").write_text(head + "".join(rows))
+
+    def printed():
+        words = ["table.py", str(tmp_path / "x.csv.xz"), "--seconds", "--pack", str(tmp_path)]
+        monkeypatch.setattr(sys, "argv", words)
+        table.main()
+        rows, *lines = capsys.readouterr().out.strip().split("\n\n")
+        return [cells(line)[:2] for line in rows.splitlines()[2:]], lines
+
+    write("default-g", (2, 3, 4))
+    assert printed() == ([["256", "0.1 (0.1)"]], [])
+    write("best-g", (1, 2, 3))
+    found = stats.ratio([2, 3, 4], [1, 2, 3])
+    line = "seconds to the level, default-g by best-g: "
+    assert printed() == (
+        [["go1:few", "256"], ["go1:best", "1024"]],
+        [f"{line}1.50 ({found.low:.2f} to {found.high:.2f})"],
+    )
+    write("default-g", (2, 3, 4), back=30)
+    assert printed()[1] == [f"{line}0 of 3 seeds get there and 3 of 3 seeds get there"]
 
 
 def test_what_the_other_parts_of_few_are_worth_is_as_the_page_says():

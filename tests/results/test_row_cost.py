@@ -977,6 +977,17 @@ def test_seconds_are_counted_to_the_level_and_until_it_walks():
     assert table.interval([90, 60, 120]) == "90.00 ± 74.52"
 
 
+def test_a_job_without_a_place_is_not_added(tmp_path, monkeypatch):
+    table, to = script(f"{ROW_COST}/table"), tmp_path / "alone.csv.xz"
+    monkeypatch.setattr(table, "RESULTS", to)
+    (tmp_path / "default-g.csv").write_text("job,seed\ngo1:few,1300\n")
+    with pytest.raises(
+        SystemExit, match="default-g.csv is not added: expected a name PLACE.METHOD"
+    ):
+        table.add("H200, today", [tmp_path])
+    assert not to.exists()
+
+
 def test_a_g1_counts_errors_and_rough_ground_crossings():
     table = script(f"{ROW_COST}/table")
     rows = [
@@ -1150,8 +1161,8 @@ def test_a_run_alone_that_was_cut_goes_on_after_its_whole_seeds(tmp_path, monkey
     path = tmp_path / "best-g.csv"
     with pytest.raises(KeyboardInterrupt):
         measure.one(path, job)
-    commit[0] = "abd"
-    with pytest.raises(SystemExit, match="best-g.part is of .*'abc'.*, expected .*'abd'"):
+    commit[0] = "xyz"
+    with pytest.raises(SystemExit, match="best-g.part is of .*'abc'.*, expected .*'xyz'"):
         measure.one(path, job)
     commit[0] = "abc"
     measure.one(path, job)
