@@ -5,8 +5,9 @@
 
 A line is `NAME SCRIPT ARGUMENTS`, SCRIPT one of 24_off_policy, and becomes OUT_FOLDER/NAME-SEED.csv for each
 seed. crossq.py trains many seeds at once, which must follow each other: OUT_FOLDER/NAME-FIRST-LAST.csv.
-A file that is there is skipped. `--workers`: so many share the device, so their clocks say nothing. A .log
-beside a .csv has what the run said. `--best FOLDER`: the best of each method, by the rule of peers_table.py,
+A file that is there is skipped. A run that was cut off begins again, and the farther of its tries is kept as
+.csv.part. `--workers`: so many share the device, so their clocks say nothing. A .log beside a .csv has what
+the run said. `--best FOLDER`: the best of each method, by the rule of peers_table.py,
 with what this script wrote into FOLDER; a NAME is a method then, crossq or sac.
 """
 
@@ -68,18 +69,32 @@ def groups(job: str, seeds: list[int]) -> list[tuple[int, int]]:
 
 
 def start(to: Path, job: str, seed: int, count: int, workers: int) -> None:
-    """Run it, if it has not run; a run that is stopped leaves NAME.csv.part."""
+    """Run it, if it has not run; a run that is stopped leaves NAME.csv.new, and NAME.csv.part is the farthest
+    of those before."""
     if to.exists():
         return
-    part = to.with_name(f"{to.name}.part")
-    part.unlink(missing_ok=True)  # the scripts append
+    part, new = (to.with_name(f"{to.name}.{end}") for end in ("part", "new"))
+    keep_farther(new, part)  # of a call that was cut; the scripts append
     done = subprocess.run(
-        command(part, job, seed, count), env=room(workers), capture_output=True, text=True
+        command(new, job, seed, count), env=room(workers), capture_output=True, text=True
     )
     to.with_suffix(".log").write_text(done.stdout + done.stderr)
     if done.returncode == 0:
-        part.replace(to)
+        new.replace(to)
+        part.unlink(missing_ok=True)
+    else:
+        keep_farther(new, part)
     print(to.stem, "done" if done.returncode == 0 else done.stderr.strip()[-200:], flush=True)
+
+
+def keep_farther(new: Path, part: Path) -> None:
+    """Make `new`, if it is there, the part if it got farther, else remove it."""
+    if not new.exists():
+        return
+    if not part.exists() or table.far(table.of_run(new)) > table.far(table.of_run(part)):
+        new.replace(part)
+    else:
+        new.unlink()
 
 
 def command(out: Path, job: str, seed: int, count: int) -> list[str]:

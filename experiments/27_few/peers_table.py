@@ -8,8 +8,9 @@ evaluation at 30 and at 38, thousand steps, mean of the seeds and the last of th
 **The rule of the choice**, older than any fresh seed: the fewest simulator steps until first at 38, mean of
 both seeds; a seed that never gets there counts with twice all steps that are asked for, 204,800. Of equals
 the one with the higher return counts, mean of a seed's last three evaluations. A setting counts if both seeds
-get there or have nine tenths of their steps; all others in peers_tune.txt must run first. The best of each
-method then runs on seeds 100 to 102.
+get there or have nine tenths of their steps; all others in peers_tune.txt must run first, but for one that
+cannot be first any more: with the steps so far of each seed that is not there, its mean is above that of the
+best that counts. The best of each method then runs on seeds 100 to 102.
 """
 
 import csv
@@ -88,10 +89,13 @@ def main():
 def settings(folder: Path | None = None, jobs: Path = JOBS) -> dict[str, Setting]:
     """Of peers_tune.csv; and of what peers.py wrote into a folder, cut off or not, where it got farther."""
     lines, rows = paper.jobs(jobs), read(RUNS)
+    tries: dict[str, list] = {}
+    for one in sorted(folder.glob("*.csv*") if folder else ()):  # .csv, .csv.part, .csv.new
+        run, some = one.name.partition(".csv")[0], of_run(one)
+        tries[run] = max(tries.get(run, []), some, key=far)
     later: dict[str, list] = {}
-    for one in sorted(folder.glob("*.csv*") if folder else ()):
-        name = re.sub(r"(-\d+)+\.csv(\.part)?$", "", one.name)
-        later.setdefault(name, []).extend(read(one, name)[name])
+    for run, some in tries.items():
+        later.setdefault(re.sub(r"(-\d+)+$", "", run), []).extend(some)
     for name, some in later.items():
         if far(some) > far(rows.get(name, [])):
             rows[name] = some
@@ -108,17 +112,20 @@ def far(rows: list) -> tuple[int, float]:
     return len(last), min(last.values(), default=0.0)
 
 
-def read(path: Path, name: str = "") -> dict[str, list]:
-    """Rows by name, in a file without names those of `name`."""
-    rows: dict[str, list] = {name: []} if name else {}
-    with path.open(newline="") as file:
-        for row in csv.DictReader(file):
-            kept = [row[key] for key in COLUMNS]
-            if None in kept:  # it was cut off as it wrote
-                continue
-            kept = dict(zip(COLUMNS, map(float, kept), strict=True))
-            rows.setdefault(name or row["name"], []).append(kept)
+def read(path: Path) -> dict[str, list]:
+    """Rows by name, in a file without names those of ""."""
+    rows: dict[str, list] = {}
+    text = path.read_text()
+    text = text[: text.rfind("\n") + 1]  # a line that does not end was cut off as it was written
+    for row in csv.DictReader(text.splitlines()):
+        kept = {key: float(row[key]) for key in COLUMNS}
+        rows.setdefault(row.get("name", ""), []).append(kept)
     return rows
+
+
+def of_run(path: Path) -> list:
+    """Rows of a file that a run wrote."""
+    return read(path).get("", [])
 
 
 def of_each_method(folder: Path, jobs: Path, methods: Iterable[str] = ()) -> list[str]:
@@ -154,8 +161,17 @@ def best(found: dict[str, Setting], jobs: dict[str, str], method: str) -> tuple[
     chosen."""
     mine = [name for name, job in jobs.items() if job.split()[0] == method]
     count = [name for name in mine if name in found and found[name].counts]
-    first = [name for name in mine if name not in count]
-    return min(count, key=lambda name: order(found[name]), default=""), first
+    soonest = min(count, key=lambda name: order(found[name]), default="")
+    cost = found[soonest].cost if soonest else np.inf
+    lost = [name for name in mine if name in found and least(found[name]) > cost]
+    return soonest, [name for name in mine if name not in count + lost]
+
+
+def least(one: Setting) -> float:
+    """The least cost that a setting can still have: a seed that is not at the level needs more steps than it
+    has used, and one that has not run may need none."""
+    used = [rows[-1]["sim_steps"] for rows in one.seeds]
+    return float(np.where(np.isnan(one.level), used, one.level).sum()) / max(SEEDS, len(used))
 
 
 def order(one: Setting) -> tuple:

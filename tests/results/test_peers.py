@@ -495,7 +495,7 @@ def test_the_rule_of_the_choice_among_settings_of_other_methods():
     found = {
         "crossq": table.setting([run(0, 20, 38), run(1, 38, 20)], 204_800),
         "crossq-a": table.setting([run(0, 38, 20), run(1, 20, 20)], 204_800),
-        "crossq-b": table.setting([run(0, 37, 37, last=180e3)] * 2, 204_800),
+        "crossq-b": table.setting([run(0, 37, 37, last=150e3)] * 2, 204_800),
         "crossq-c": table.setting([run(0, 37, 38, last=180e3)] * 2, 204_800),
         "sac": table.setting([run(0, 9, 9, 9)] * 2, 204_800),
         "sac-a": table.setting([run(0, 20, 9, 8, 12, last=190e3)] * 2, 204_800),
@@ -508,6 +508,15 @@ def test_the_rule_of_the_choice_among_settings_of_other_methods():
     jobs |= {"sac": "sac", "sac-a": "sac --gain 1", "sac-b": "sac --gain 2"}
     assert table.best(found, jobs, "crossq") == ("crossq", ["crossq-b", "crossq-d"])
     assert table.best(found, jobs, "sac") == ("sac-a", ["sac-b"])
+    # `crossq` needs 153.6 k; a seed that is there after 110 and one that is not by 198 need more in the mean
+    there, late = run(0, 38, last=110e3), run(1, 37, last=198e3)
+    found["crossq-b"] = table.setting([there, run(1, 37, last=196e3)], 409_600)
+    assert table.least(found["crossq-b"]) == 153e3
+    assert table.best(found, jobs, "crossq") == ("crossq", ["crossq-b", "crossq-d"])
+    found["crossq-b"] = table.setting([there, late], 409_600)
+    assert not found["crossq-b"].counts and table.least(found["crossq-b"]) == 154e3
+    assert table.best(found, jobs, "crossq") == ("crossq", ["crossq-d"])
+    assert table.least(table.setting([late], 409_600)) == 99e3  # the other seed has not run
     assert table.best({}, jobs, "sac") == ("", ["sac", "sac-a", "sac-b"])
     assert table.asked("crossq --steps 102400 --evaluations 16") == 102_400
 
@@ -521,7 +530,7 @@ def test_the_best_settings_of_other_methods_are_chosen_with_a_folder_of_runs(tmp
 
     def write(name, seed, last, back):
         path = tmp_path / f"runs/{name}-{seed}.csv"
-        path.write_text(head + "".join(f"x,{seed},{s},1,{back},0\n" for s in (100e3, last)))
+        path.write_text(head + "".join(f"x,{seed},{s},1,{back},0\n" for s in (110e3, last)))
 
     (tmp_path / "runs").mkdir()
     with pytest.raises(SystemExit, match="crossq-w2048 must run before the best crossq is"):
@@ -534,7 +543,10 @@ def test_the_best_settings_of_other_methods_are_chosen_with_a_folder_of_runs(tmp
     (tmp_path / "runs/crossq-u128-1.csv").rename(tmp_path / "runs/crossq-u128-1.csv.part")
     write("sac-symmetric", 0, 204_800, 38.5)
     with (tmp_path / "runs/crossq-u128-1.csv.part").open("a") as file:
-        file.write("x,1,2048")
+        file.write("x,1,204800,2,3")  # of 39
+    found = peers.table.of_run(tmp_path / "runs/crossq-u128-1.csv.part")
+    assert [row["return"] for row in found] == [39, 39]
+    (tmp_path / "runs/crossq-u128-0.csv.new").write_text(head + "x,0,6400,1,38,0\nx,0,12800,1,,")
     sooner = tmp_path / "runs/crossq-w2048-0.csv"
     whole = sooner.read_text()
     sooner.write_text(head + "x,0,6400,1,38,0\n")  # and its other seed is not there
@@ -777,12 +789,19 @@ def test_settings_of_other_methods_for_few_robots_are_flags_of_theirs_and_runs_a
     out.mkdir()
     (out / "b-0.csv").write_text("before")
     (out / "a-0.csv.part").write_text("cut off")
+    head = "seed,sim_steps,return,fall_rate\n"
+    longer, shorter = (f"{head}1,{steps},20,0\n" for steps in (900, 100))
+    (out / "b-1.csv.part").write_text(shorter)
+    (out / "b-1.csv.new").write_text(longer)  # a call was cut as it ran again
     words = ["peers.py", str(out), str(tmp_path / "jobs.txt"), "--workers", "2"]
     monkeypatch.setattr(sys, "argv", words)
     peers.main()
     assert (out / "a-0.csv").read_text() == f"{peers.COMMON} --updates 3 --seed 0"
     assert not (out / "a-1.csv").exists() and (out / "a-1.csv.part").exists()
     assert (out / "b-0.csv").read_text() == "before" and not (out / "b-1.csv").exists()
+    # the last try has written nothing to compare, so the farther one of before stays
+    assert (out / "b-1.csv.part").read_text() == longer and not (out / "a-0.csv.part").exists()
+    assert not [*out.glob("*.new")]
 
 
 @pytest.mark.slow  # compiles two programs
