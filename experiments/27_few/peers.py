@@ -50,7 +50,9 @@ def main():
             for name in chosen
             for seed, count in groups(jobs[name], args.seeds)
         ]
-        list(pool.map(lambda run: start(*run, args.workers), runs))
+        codes = list(pool.map(lambda run: start(*run, args.workers), runs))
+    if failed := [run[0].stem for run, code in zip(runs, codes, strict=True) if code]:
+        raise SystemExit(f"failed: {', '.join(failed)}")
 
 
 def seeds_of(first: int, count: int) -> str:
@@ -68,11 +70,11 @@ def groups(job: str, seeds: list[int]) -> list[tuple[int, int]]:
     return [(seeds[0], len(seeds))]
 
 
-def start(to: Path, job: str, seed: int, count: int, workers: int) -> None:
-    """Run it, if it has not run; a run that is stopped leaves NAME.csv.new, and NAME.csv.part is the farthest
-    of those before."""
+def start(to: Path, job: str, seed: int, count: int, workers: int) -> int:
+    """Run it, if it has not run; its exit status. A run that is stopped leaves NAME.csv.new, and
+    NAME.csv.part is the farthest of those before."""
     if to.exists():
-        return
+        return 0
     part, new = (to.with_name(f"{to.name}.{end}") for end in ("part", "new"))
     keep_farther(new, part)  # of a call that was cut; the scripts append
     done = subprocess.run(
@@ -85,6 +87,7 @@ def start(to: Path, job: str, seed: int, count: int, workers: int) -> None:
     else:
         keep_farther(new, part)
     print(to.stem, "done" if done.returncode == 0 else done.stderr.strip()[-200:], flush=True)
+    return done.returncode
 
 
 def keep_farther(new: Path, part: Path) -> None:

@@ -795,7 +795,8 @@ def test_settings_of_other_methods_for_few_robots_are_flags_of_theirs_and_runs_a
     (out / "b-1.csv.new").write_text(longer)  # a call was cut as it ran again
     words = ["peers.py", str(out), str(tmp_path / "jobs.txt"), "--workers", "2"]
     monkeypatch.setattr(sys, "argv", words)
-    peers.main()
+    with pytest.raises(SystemExit, match="^failed: a-1, b-1$"):
+        peers.main()
     assert (out / "a-0.csv").read_text() == f"{peers.COMMON} --updates 3 --seed 0"
     assert not (out / "a-1.csv").exists() and (out / "a-1.csv.part").exists()
     assert (out / "b-0.csv").read_text() == "before" and not (out / "b-1.csv").exists()
