@@ -11,15 +11,16 @@ with falls in at most 1 % of the episodes.
 `--seconds`: of runs of 30_row_cost/run.py, alone on a card, a row a job, by its number of robots, with its
 config where the file has several: thousand steps and seconds to the level, seconds to a walk (mean, last); ms
 of an iteration, and of its real rows, fit, tails and PPO, each measured by itself; steps and seconds of a
-whole run. Of two jobs `default-X` and `best-X` a line has the ratio of the seconds to the level, with
-Fieller's 95 % interval. `--pack` first puts the CSVs that 30_row_cost/run.py wrote into FOLDER into the file,
-in place of jobs of the same name.
+whole run. Of jobs `default-X` and `best-X` (and `default-X2` ..., more seeds) a line has the ratio of the
+seconds to the level, with Fieller's 95 % interval. `--pack` first puts the CSVs that 30_row_cost/run.py wrote
+into FOLDER into the file, in place of jobs of the same name.
 """
 
 import csv
 import importlib
 import io
 import lzma
+import re
 from pathlib import Path
 from typing import NamedTuple
 
@@ -199,18 +200,25 @@ def seconds(found: list[Alone]) -> str:
 
 
 def ratios(found: list[Alone]) -> list[str]:
-    """A line for each `default-X` and `best-X`: seconds to the level of the first by those of the second."""
-    named, lines = {one.name: one for one in found}, []
-    for name, one in named.items():
-        if not name.startswith("default-") or not (best := named.get(f"best-{name[8:]}")):
+    """A line for each X of `default-X` and `best-X`: seconds to the level of the first, by those of the second.
+    Jobs `default-X`, `default-X2`, ... are more seeds of one X."""
+    each: dict[tuple[str, ...], list] = {}
+    for one in found:
+        if name := re.fullmatch(r"(default|best)-(.*?)\d*", one.name):
+            each.setdefault(name.groups(), []).append(one.level[:, 2])
+    lines = []
+    for kind, x in each:
+        if kind != "default" or ("best", x) not in each:
             continue
-        there = [np.isfinite(x.level[:, 2]) for x in (one, best)]
-        if all(x.all() for x in there):
-            ratio = stats.ratio(one.level[:, 2], best.level[:, 2])
+        both = [np.concatenate(each[kind, x]) for kind in ("default", "best")]
+        there = [np.isfinite(seconds) for seconds in both]
+        if all(some.all() for some in there):
+            ratio = stats.ratio(*both)
             told = f"{ratio.value:.2f} ({ratio.low:.2f} to {ratio.high:.2f})"
         else:  # a mean of those that get there would be too low
-            told = " and ".join(f"{x.sum()} of {len(x)} seeds get there" for x in there)
-        lines.append(f"seconds to the level, {name} by {best.name}: {told}")
+            told = " and ".join(f"{some.sum()} of {len(some)} seeds get there" for some in there)
+        seeds = " and ".join(str(len(some)) for some in there)
+        lines.append(f"seconds to the level, default-{x} by best-{x}, {seeds} seeds: {told}")
     return lines
 
 

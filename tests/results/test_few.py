@@ -932,13 +932,17 @@ def test_seconds_of_two_configs_are_told_apart_and_compared(tmp_path, monkeypatc
     assert printed() == ([["256", "0.1 (0.1)"]], [])
     write("best-g", (1, 2, 3))
     found = stats.ratio([2, 3, 4], [1, 2, 3])
-    line = "seconds to the level, default-g by best-g: "
+    line = "seconds to the level, default-g by best-g, {} and {} seeds: "
     assert printed() == (
         [["go1:few", "256"], ["go1:best", "1024"]],
-        [f"{line}1.50 ({found.low:.2f} to {found.high:.2f})"],
+        [f"{line.format(3, 3)}1.50 ({found.low:.2f} to {found.high:.2f})"],
     )
-    write("default-g", (2, 3, 4), back=30)
-    assert printed()[1] == [f"{line}0 of 3 seeds get there and 3 of 3 seeds get there"]
+    write("default-g2", (5, 6))
+    found = stats.ratio([2, 3, 4, 5, 6], [1, 2, 3])
+    assert printed()[1] == [f"{line.format(5, 3)}2.00 ({found.low:.2f} to {found.high:.2f})"]
+    write("default-g2", (5, 6), back=30)
+    told = "3 of 5 seeds get there and 3 of 3 seeds get there"
+    assert printed()[1] == [f"{line.format(5, 3)}{told}"]
 
 
 def test_what_the_other_parts_of_few_are_worth_is_as_the_page_says():
