@@ -200,7 +200,7 @@ def seconds(found: list[Alone]) -> str:
 
 
 def ratios(found: list[Alone]) -> list[str]:
-    """A line for each X of `default-X` and `best-X`: seconds to the level of the first, by those of the second.
+    """A line for each X of `default-X` and `best-X`: seconds to the level of one by those of the other.
     Jobs `default-X`, `default-X2`, ... are more seeds of one X."""
     each: dict[tuple[str, ...], list] = {}
     for one in found:
