@@ -133,6 +133,66 @@ def test_what_may_be_the_default_has_the_settings_of_256_robots_in_both_files():
     assert told in words
 
 
+def test_rules_that_were_written_before_their_runs_can_be_met_and_can_fail():
+    """Pairs as on the page, of runs that it has; of the default each of its rules, broken alone."""
+    rules = script("27_few/rules")
+    late, spread = few_jobs("late"), few_jobs("fresh-spread")
+    jobs = {f"more-few-{x}": late[f"fresh-late-{x}"] for x in "ghcd"}
+    jobs |= {f"more-spread-{x}": spread[f"fresh-spread-{x}"] for x in "ghcd"}
+    words = " ".join((EXPERIMENTS / "27_few/parts.md").read_text().split())
+    *_, every, verdict = rules.pairs(jobs, "more-spread", "more-few", rules.fewer_falls, True)
+    assert every == "  all: -0.15 (-0.31 to 0.01, 30 pairs) points of falls; 29 and 28 walk"
+    assert "0.15 points fewer with it (95 % from 0.31 fewer to 0.01 more" in words
+    assert verdict == "  a difference below 0 is not shown: the rule is not met"
+    for letter in "hd":
+        del jobs[f"more-spread-{letter}"]
+    *_, left, every, verdict = rules.pairs(jobs, "more-spread", "more-few", rules.fewer_falls, True)
+    assert left == "  anymal_d: left out, no more-spread-d" and ", 20 pairs)" in every
+    assert verdict == "  a difference below 0 is shown: the rule is met"
+    jobs["more-few-g"], jobs["more-spread-g"] = jobs["more-spread-g"], jobs["more-few-g"]
+    del jobs["more-few-c"]
+    *_, verdict = rules.pairs(jobs, "more-spread", "more-few", rules.fewer_falls, True)
+    assert verdict == "  a difference below 0 is not shown: the rule is not met"
+
+    def run(robot, seed, back, fell=0.0, error=0.04, steps=30e3, **other):
+        job, begin = {"job": f"{robot}:few", "seed": float(seed)}, {"return": 1.0, "fall_rate": 0.9}
+        row = {"return": back, "fall_rate": fell, "tracking_error": error} | other
+        at = [steps / 2, *(steps + 1e4 * k for k in range(5))]
+        rows = [begin | {"tracking_error": 0.5}, *[row] * 5]
+        return [job | {"sim_steps": s} | one for s, one in zip(at, rows, strict=True)]
+
+    def judge(**changed):
+        """Ten seeds of each robot; the first of an ANYmal-C is changed."""
+        jobs = {}
+        for letter, robot in rules.ROBOTS.items():
+            back = 42.5 if letter in "gh" else 26.5
+            some = [changed if (letter, seed) == ("c", 0) else {} for seed in range(10)]
+            rows = [run(robot, seed, **{"back": back} | one) for seed, one in enumerate(some)]
+            jobs[f"default-{letter}"] = [row for one in rows for row in one]
+        return rules.default(jobs, *known)
+
+    with rules.NUMBERS.open(newline="") as file:
+        known = (
+            rules.runs.read(rules.HEADLINE),
+            {r["name"]: r["value"] for r in csv.DictReader(file)},
+        )
+    assert judge()[-2:] == ["  40 of 40 walk: rule 2 is met", "  rules 1 to 3 are all met"]
+    assert judge(fell=0.02)[-2:] == ["  39 of 40 walk: rule 2 is met", "  rules 1 to 3 are all met"]
+    for broken, line, told in (
+        (dict(steps=700e3), 7, "rule 1 is not met"),  # the mean is above a quarter of 0.34 M
+        (dict(back=20.0), 7, "rule 1 is not met"),  # it never gets there
+        (dict(back=float("nan")), 7, "1 not finite: rule 1 is not met"),
+        (dict(fell=0.06), 9, "falls 0.60 % (at most 0.5), error"),
+        (dict(error=0.5), 9, "rule 3 is not met"),
+    ):
+        lines = judge(**broken)
+        assert told in lines[line] and lines[-1] == "  rules 1 to 3 are not all met", broken
+        assert lines[line].startswith("  anymal_c" if line == 7 else "    end")
+    assert rules.default({}, *known)[1:] == [
+        f"  {robot}: no default-{x}, so the rule is open" for x, robot in rules.ROBOTS.items()
+    ]
+
+
 def test_fresh_seeds_of_few_pair_with_those_of_its_table():
     """In 27_few's jobs.txt, and what ran: the seeds and evaluations of fresh.txt."""
     folder = EXPERIMENTS / "27_few"

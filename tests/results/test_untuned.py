@@ -3,6 +3,7 @@
 import re
 
 import numpy as np
+import pytest
 from result_files import EXPERIMENTS, LESS, cells, script
 
 from dynappo import config as config_lib
@@ -324,3 +325,62 @@ def test_jobs_on_fresh_seeds_are_those_that_choose_takes(monkeypatch):
             assert f"up to {at[-1]:.2f} M, where PPO ends" in WORDS
             assert f"counts with {2 * at[-1]:.2f} M on both sides" in WORDS
         assert line not in rest or all(field.startswith("run.") for field in fields)
+
+
+def run_of(seed, level_at, walks_at, step=0.061, end=61):
+    """Evaluations of a seed: first at 24 at one, from another on without falls; None: never."""
+    return [
+        {
+            "job": "spot:best",
+            "seed": float(seed),
+            "sim_steps": 1e6 * step * k,
+            "return": 25.0 if level_at is not None and k >= level_at else 9.0,
+            "fall_rate": 0.0 if walks_at is not None and k >= walks_at else 0.5,
+        }
+        for k in range(1, end)
+    ]
+
+
+def test_the_rule_for_fresh_seeds_says_what_it_was_written_to_say():
+    """By hand, of three seeds each: a difference, none, a seed that never walks (twice the end, whatever is
+    taken off), and `best` after PPO's end, which counts for nothing."""
+    fresh = script("23_untuned/fresh")
+    late = [run_of(s, 20 + s, 30 + 5 * s) for s in range(3)]
+    soon = [run_of(s, 4 + s, 8 + s, end=99) for s in range(3)]
+    for run in soon:
+        run[70]["fall_rate"] = 0.5  # after PPO's end
+    lost = [*late[:2], run_of(2, 22, None)]
+    jobs = {"level-anymal_b-a": late, "walks-anymal_b-b": lost, "anymal_b-best": soon}
+    jobs |= {"walks-spot-c": soon, "spot-best": [*soon[:2], run_of(2, 7, 11)]}
+    jobs = {name: [row for run in job for row in run] for name, job in jobs.items()}
+    jobs["walks-spot-c"] = [row for row in jobs["walks-spot-c"] if row["sim_steps"] < 3.7e6]
+    found = [fresh.steps(jobs, "anymal_b", goal) for goal in ("level", "walks")]
+    unit = 0.061e6
+    assert np.allclose(found[0].ppo, [20 * unit, 21 * unit, 22 * unit])
+    assert np.allclose(found[1].ppo, [30 * unit, 35 * unit, 120 * unit])
+    assert found[1].never == (1, 0) and np.allclose(found[1].best, [8 * unit, 9 * unit, 10 * unit])
+    lines = fresh.told(jobs)
+    ratio = stats.ratio([20, 21, 22], [4, 5, 6])
+    less = stats.ratio([20 - 0.03 / 0.061, 21 - 0.03 / 0.061, 22 - 0.03 / 0.061], [4, 5, 6])
+    p = stats.welch_of([20, 21, 22], [4, 5, 6])
+    assert lines[0] == "ANYmal-B, to the level: PPO 1.28 M, `best` 0.30 M"
+    for line, one in zip(lines[1:3], (ratio, less), strict=True):
+        told = f"  {one.value:.2f} times the steps ({one.low:.2f} to {one.high:.2f}), Holm's p "
+        assert line.startswith(told)
+    assert lines[1].endswith(f"{4 * p:.2g}")
+    assert lines[3] == "  PPO needs so many times the steps of `best`"
+    assert lines[4] == "ANYmal-B, to a walk: PPO 3.76 M (1 never), `best` 0.55 M"
+    more = stats.difference([30, 35, 120], [8, 9, 10])
+    told = [f"{0.061 * x:.2f}" for x in (more.value, more.low, more.high)]
+    assert lines[5].startswith("  +{} M steps ({} to {}), Holm's p ".format(*told))
+    assert lines[7] == "  no difference in the mean is shown"
+    assert lines[8].startswith("Spot, to the level: PPO 0.30 M, `best` 0.")
+    assert lines[11] == "  no saving to the level is shown" == "  " + fresh.NOT_SHOWN["level"]
+    page = WORDS.split("## The rule for fresh seeds")[1]
+    every = [fresh.verdict(goal, x) for goal in ("level", "walks") for x in (-1, 2)]
+    for words in [*every, *fresh.NOT_SHOWN.values()]:
+        assert f'"{words}"' in page, words
+    assert f"with {fresh.EARLIER / 1e6:.2f} M, half an interval" in page
+    del jobs["spot-best"]
+    with pytest.raises(SystemExit, match="no spot-best"):
+        fresh.told(jobs)
