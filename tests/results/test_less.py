@@ -1,6 +1,7 @@
 """21_less and what many pages have of it: the headline, falls, PPO tuned."""
 
 import csv
+import json
 import lzma
 import re
 import sys
@@ -767,6 +768,24 @@ def test_a_laptop_run_walks_if_it_does_to_its_end():
     rows = [{"steps": k, "return": 40.0, "fall_rate": f} for k, f in enumerate((0.02, 0.01, 0.005))]
     assert walk(rows, 38) and walk(rows[-1:], 38) and not walk(rows[:1], 38)
     assert not walk(rows[::-1], 38) and not walk(rows, 41)
+
+
+def test_a_memory_on_two_cores_is_told_as_it_ran():
+    page = (EXPERIMENTS / "04_laptop/README.md").read_text()
+    for kind, label in (
+        ("laptop", "`:laptop`"),
+        ("memory", "with two simulated rows and a memory"),
+    ):
+        files = [EXPERIMENTS / f"04_laptop/results/memory/{kind}-{seed}.json" for seed in (20, 21)]
+        rows = [json.loads(file.read_text())["rows"] for file in files]
+        at = [{row["iteration"]: row for row in some} for some in rows]
+        row = [
+            "; ".join(f"{one[k]['return']:.1f}, {100 * one[k]['fall_rate']:.0f} %" for one in at)
+            for k in (100, 160, 200)
+        ]
+        row.append("; ".join(f"{one[200]['seconds']:.0f}" for one in at))
+        row.append(f"{at[0][200]['steps'] / 1e3:.0f}")
+        assert [label, *row] in [cells(line) for line in page.splitlines()]
 
 
 def test_the_solvers_errors_are_those_of_its_file():
