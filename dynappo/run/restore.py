@@ -83,7 +83,7 @@ def weights(source: Path, config, like: Any, say: Callable[[str], None] = print)
         then = f"learns for {first} iterations (ppo.value_first) before the policy does"
         then = then if first else "the policy learns with it at once: ppo.value_first is 0"
         say(
-            f"--restore={source} holds a policy alone: its value function starts untrained, and {then}"
+            f"{named(source)} holds a policy alone: its value function starts untrained, and {then}"
         )
     some = {name: part for name, part in params.items() if not (alone and name == "critic")}
     found = _taken(source, some, there, "policy", "learner/params")
@@ -93,7 +93,7 @@ def weights(source: Path, config, like: Any, say: Callable[[str], None] = print)
         pass
     elif config.model.symmetry and not about(source)[0].get("model.symmetry"):
         say(
-            f"--restore={source}: model.symmetry is False there, True here, so its transition model is not "
+            f"{named(source)}: model.symmetry is False there, True here, so its transition model is not "
             "its own mirror image; it starts untrained"
         )
     else:
@@ -123,7 +123,7 @@ def _read(source: Path, say) -> tuple[dict[str, np.ndarray], str]:
             say(f"{problem}; checkpoint {step} is taken")
         return there, f"checkpoint {step}"
     raise ConfigError(
-        f"--restore={source}: none of its {len(problems)} checkpoints can be read ({problems[0]}); "
+        f"{named(source)}: none of its {len(problems)} checkpoints can be read ({problems[0]}); "
         "expected a run with a good one"
     )
 
@@ -140,7 +140,7 @@ def check(source: Path, config) -> None:
         there = {"task.scan": "none"} | there  # older runs have no such field
     if source.is_file() and config.ppo.normalize:
         raise ConfigError(
-            f"--restore={source}: in a policy.npz the scaling of ppo.normalize is part of the weights; name "
+            f"{named(source)}: in a policy.npz the scaling of ppo.normalize is part of the weights; name "
             "the workdir of that run, or a checkpoint"
         )
     if not source.is_file():
@@ -149,7 +149,7 @@ def check(source: Path, config) -> None:
             names += ["model.hidden", "model.activation", "model.falls"]
     if config.ppo.symmetry and not there.get("ppo.symmetry", True):
         raise ConfigError(  # symmetric gradients keep what is not symmetric (learner/symmetry.py)
-            f"--restore={source}: ppo.symmetry is False there, True here, and its policy is not its own "
+            f"{named(source)}: ppo.symmetry is False there, True here, and its policy is not its own "
             "mirror image; set --config.ppo.symmetry=False"
         )
     apart = [
@@ -160,17 +160,26 @@ def check(source: Path, config) -> None:
     if apart:
         name = apart[0]
         raise ConfigError(
-            f"--restore={source}: {name} is {there[name]} there, {here[name]} here; set what that run has: "
+            f"{named(source)}: {name} is {there[name]} there, {here[name]} here; set what that run has: "
             + " ".join(_flag(name, there[name]) for name in apart)
         )
     own = policy_source.of_name(config.robot)
     if robot and own and robot.joint_names != own.joint_names:
         if sorted(robot.joint_names) == sorted(own.joint_names):
             raise ConfigError(
-                f"--restore={source}: its joints are {' '.join(robot.joint_names)}, expected the order of "
+                f"{named(source)}: its joints are {' '.join(robot.joint_names)}, expected the order of "
                 f"{config.robot}, {' '.join(own.joint_names)}; dynappo export with --joint-order=mjcf writes "
                 "a policy.npz in this one"
             )
+
+
+def named(source: Path) -> str:
+    """The flag as it was given: a bundled policy by its name, else the path."""
+    for name in files.bundled():
+        with contextlib.suppress(ConfigError):  # a robot without a policy
+            if policy_file.bundled(name) == source:
+                return f"--restore={name}"
+    return f"--restore={source}"
 
 
 def _flag(name: str, value: Any) -> str:
@@ -210,7 +219,7 @@ def apart(source: Path, config) -> str:
         found.append("its joints have other names")
     elif robot and own and not np.allclose(robot.default_pose, own.default_pose, atol=1e-6):
         found.append("its default pose is another")
-    return f"--restore={source}: {'; '.join(found)}" if found else ""
+    return f"{named(source)}: {'; '.join(found)}" if found else ""
 
 
 def saved(folder: Path) -> list[int]:

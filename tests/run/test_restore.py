@@ -191,6 +191,8 @@ def test_a_bundled_policy_of_another_task_says_which_flags_it_needs(tmp_path):
     config = config_lib.load("go1:laptop")
     line = refused(restore.check, source, config)
     assert line.startswith(f"--restore={source}: task.observation is onboard there, full here; set")
+    by_name = refused(restore.check, policy_file.bundled("go1_deploy"), config)
+    assert by_name == line.replace(str(source), "go1_deploy")  # as it was given
     flags = shlex.split(line.partition("set what that run has: ")[2])
     assert flags[:2] == ["--config.task.observation=onboard", "--config.task.history=5"]
     flags_lib.set_fields(config, flags)
