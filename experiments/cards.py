@@ -72,31 +72,28 @@ def main():
         raise SystemExit(f"{args.plan} has no part {missing[0]!r}")
     lines = [line for line in every if line.part in args.parts]
     cards = max(line.card for line in lines) + 1
-    known, stop = counted(lines), threading.Event()
+    known, stop, ended = counted(lines), threading.Event(), []
     args.out.mkdir(parents=True, exist_ok=True)
     call = Call(args.out, time.monotonic() + args.seconds, cards, known, stop)
     lanes = list(dict.fromkeys(line.lane for line in lines))
     each = [[line for line in lines if line.lane == lane] for lane in lanes]
     before = {
-        number: signal.signal(number, lambda *_: stop.set())
+        number: signal.signal(number, lambda number, _: (ended.append(number), stop.set()))
         for number in (signal.SIGTERM, signal.SIGINT)
     }
     try:
         with ThreadPoolExecutor(len(lanes)) as pool:
             running = [pool.submit(run_lane, call, mine, shared(lines, mine)) for mine in each]
             while wait(running, EVERY).not_done:  # what is there counts if this process is killed
-                try:
-                    pack(args.out)
-                except OSError as error:
-                    print(f"{args.out}.tar.xz is not written: {error}", flush=True)
+                packed(args.out)
         for lane in running:
             lane.result()  # what a lane raised
     finally:
-        pack(args.out)
         for number, handler in before.items():
             signal.signal(number, handler)
-    if stop.is_set():
-        raise SystemExit(128 + signal.SIGTERM)
+        packed(args.out)
+    if ended:
+        raise SystemExit(128 + ended[0])
 
 
 def read(plan: Path) -> Iterable[Line]:
@@ -129,6 +126,14 @@ def counted(lines: list[Line]) -> bool:
                 f"lane {line.lane} is of card {line.card}, but nvidia-smi lists {there}"
             )
     return True
+
+
+def packed(out: Path) -> None:
+    """`pack`, and a line where the disk is full: the commands go on."""
+    try:
+        pack(out)
+    except OSError as error:
+        print(f"{out}.tar.xz is not written: {error}", flush=True)
 
 
 def pack(out: Path) -> None:

@@ -108,8 +108,9 @@ def put(spec: mujoco.MjSpec, ground: HeightMap | None) -> None:
 
 
 def _with_border(ground: HeightMap) -> HeightMap:
-    """`ground` with its edges going on, as `height_map.height` has them: MuJoCo has nothing beyond its
-    height field, and tiles may end where the map does. A map that is flat there is left as it is."""
+    """`ground` with its edges going on, as `height_map.height` has them: MuJoCo has nothing beyond its height
+    field, and tiles may end where the map does. A map that is flat there is left as it is, to the bit: with
+    the default border that is outside all tiles."""
     count = int(np.ceil(BORDER / ground.cell - 1e-6))
     outer = ground.heights.copy()  # of it only the outermost heights
     outer[count:-count, count:-count] = first = outer[0, 0]

@@ -174,7 +174,7 @@ def check(source: Path, config) -> None:
 
 
 def named(source: Path) -> str:
-    """The flag as it was given: a bundled policy by its name, else the path."""
+    """The flag: a bundled policy by its name, however it was given, else the path."""
     for name in files.bundled():
         with contextlib.suppress(ConfigError):  # a robot without a policy
             if policy_file.bundled(name) == source:

@@ -60,7 +60,7 @@ def told(jobs: dict) -> list[str]:
     lines = []
     for one, *both in zip(goals, *tries, strict=True):
         alike = 1.0 if one.goal == "level" else 0.0
-        shown = all(p < stats.ALPHA and not x.low <= alike <= x.high for x, p in both)
+        shown = all(p < stats.ALPHA and (x.low > alike or x.high < alike) for x, p in both)
         lines += [
             f"{ROBOTS[one.robot]}, {GOALS[one.goal]}: PPO {million(one.ppo, one.never[0])}, `best` "
             f"{million(one.best, one.never[1])}",

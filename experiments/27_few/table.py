@@ -200,12 +200,16 @@ def seconds(found: list[Alone]) -> str:
 
 
 def ratios(found: list[Alone]) -> list[str]:
-    """A line for each X of `default-X` and `best-X`: seconds to the level of one by those of the other.
-    Jobs `default-X`, `default-X2`, ... are more seeds of one X."""
+    """A line for each X of `default-X` and `best-X`: seconds to the level of one by those of the other. Jobs
+    `default-X`, `default-X2`, ... are more seeds of one X. A seed of `best` that does not get there counts
+    with all of its run."""
     each: dict[tuple[str, ...], list] = {}
     for one in found:
         if name := re.fullmatch(r"(default|best)-(.*?)\d*", one.name):
-            each.setdefault(name.groups(), []).append(one.level[:, 2])
+            seconds = one.level[:, 2]
+            if name[1] == "best":  # one that does not get there, with all of its run
+                seconds = np.where(np.isfinite(seconds), seconds, one.end[:, 2])
+            each.setdefault(name.groups(), []).append(seconds)
     lines = []
     for kind, x in each:
         if kind != "default" or ("best", x) not in each:

@@ -165,7 +165,7 @@ def finished(part: Path, about: dict[str, str]) -> list[dict]:
     with part.open(newline="") as file:
         rows = list(csv.DictReader(file))
     for row in rows:
-        if (found := {name: row[name] for name in about}) != about:
+        if (found := {name: row.get(name) for name in about}) != about:
             raise SystemExit(
                 f"{part} is of {found}, expected {about}; remove it, or choose another OUT_FOLDER"
             )

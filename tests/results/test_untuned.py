@@ -381,6 +381,14 @@ def test_the_rule_for_fresh_seeds_says_what_it_was_written_to_say():
     for words in [*every, *fresh.NOT_SHOWN.values()]:
         assert f'"{words}"' in page, words
     assert f"with {fresh.EARLIER / 1e6:.2f} M, half an interval" in page
+    every = [run_of(s, 5, 9) for s in range(9)] + [run_of(9, None, None)]
+    jobs["spot-best"] = [
+        row for run in every for row in run
+    ]  # its mean is hardly known, so no interval is
+    never = [run_of(s, None, None) for s in range(10)]
+    jobs["walks-spot-c"] = [row for run in never for row in run]
+    lines = fresh.told(jobs)
+    assert "(nan to nan)" in lines[9] and lines[11] == "  no saving to the level is shown"
     del jobs["spot-best"]
     with pytest.raises(SystemExit, match="no spot-best"):
         fresh.told(jobs)
