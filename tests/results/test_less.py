@@ -796,7 +796,7 @@ def test_a_memory_on_two_cores_is_told_as_it_ran():
     words = " ".join(page.split())
     assert "200 take {:.0f} s with four epochs, {:.0f} s as they are".format(*told) in words
     last = {name: one["rows"][-1] for name, one in found.items()}
-    assert sum(row["fall_rate"] >= 0.24 for row in last.values()) == 2
+    assert sum(row["fall_rate"] > 0.2 for row in last.values()) == 2
     assert all(row["return"] > 40 for name, row in last.items() if "laptop" in name)
 
 
