@@ -29,10 +29,12 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from dynappo import algorithm, scores
+from dynappo.config import fields
 from dynappo.types import Env, Hyper, Metrics, Static, TrainState
 
 # fields of TrainState with an axis R, and which of a seed's axes it is
@@ -49,14 +51,30 @@ def vary(hyper: Hyper, field: str, values) -> Hyper:
 
     Call it several times to vary several fields together: seed s takes value s of each. ValueError
     if there is no such float, if it is None, or if it is built into the environment: the groups run and
-    physics, and the errors of `task.randomize` that are 0, which no robot of the compiled program has.
+    physics, and the errors of `task.randomize` that are 0, which no robot of the compiled program has; also
+    if `values` are not a list of numbers that the field may hold.
     """
     group, _, rest = field.partition(".")
     if group in ("run", "physics") or field == "task.armature":
         raise ValueError(
             f"{field} is part of the compiled program, expected a field of ppo, model or task"
         )
-    return _set(hyper, field, field.split("."), jnp.asarray(values, jnp.float32))
+    found = _numbers(field, values)
+    varied = _set(hyper, field, field.split("."), jnp.asarray(found, jnp.float32))
+    for value in found.tolist():
+        fields.check(field, value)  # as the command line does
+    return varied
+
+
+def _numbers(field: str, values) -> np.ndarray:
+    """`values` [S]; ValueError if they are no list of numbers."""
+    try:
+        found = np.asarray(values, float)
+    except (TypeError, ValueError):
+        found = np.empty(())
+    if found.ndim != 1 or not len(found):
+        raise ValueError(f"{field}: {values!r}, expected a list of a number for each seed")
+    return found
 
 
 def _set(node, field, path, values):

@@ -258,6 +258,22 @@ def test_what_cannot_be_swept_is_refused(toy, field, word):
         seeds.vary(toy[2], field, (0.1, 0.2))
 
 
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ([0.9, 7.0], "ppo.gamma is 7.0, expected 0 to 1"),
+        ([math.nan], "ppo.gamma is nan, expected finite numbers"),
+        ([], "ppo.gamma: [], expected a list of a number for each seed"),
+        (0.9, "ppo.gamma: 0.9, expected a list"),
+        ([[0.9]], "ppo.gamma: [[0.9]], expected a list"),
+        (["a"], "ppo.gamma: ['a'], expected a list"),
+    ],
+)
+def test_a_value_that_the_field_may_not_hold_is_refused(toy, values, said):
+    with pytest.raises(ValueError, match=re.escape(said)):
+        seeds.vary(toy[2], "ppo.gamma", values)
+
+
 def test_a_mesh_of_more_devices_than_there_are_is_refused():
     with pytest.raises(ValueError, match="3 x 4 devices, but JAX sees 8"):
         seeds.mesh(3, 4)
