@@ -275,6 +275,12 @@ def _converted(name: str, field: Field, value) -> Any:
 
 
 def copied(config) -> config_dict.ConfigDict:
-    """A copy in which every field has the type of its default; ConfigError where a field is missing."""
+    """A copy in which every field has the type of its default; ConfigError where a field is missing, or where
+    it is no config, but perhaps the name of one."""
+    if not hasattr(config, "items"):
+        load = f": config.load({config!r})" if isinstance(config, str) else ""
+        raise ConfigError(
+            f"the config is {config!r}, expected what dynappo.config.load returns{load}"
+        )
     check_names(flat(config))
     return typed(flat(config))

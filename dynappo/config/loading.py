@@ -17,7 +17,7 @@ from typing import Any
 
 from ml_collections import config_dict
 
-from dynappo.config import fields, files, own_code, terms
+from dynappo.config import fields, files, own_code, shell, terms
 from dynappo.config.fields import ConfigError, flat
 from dynappo.config.files import find
 
@@ -55,7 +55,7 @@ def load(spec: str) -> config_dict.ConfigDict:
     `NAME` is `configs/NAME.py`. dynappo looks for that, and for `NAME.py`, in the working directory, then
     among its own configs; a path with another folder means that file alone. The file runs as Python.
     """
-    return load_both(spec)[0]
+    return load_both(spec, flag="")[0]
 
 
 def load_both(
@@ -75,6 +75,10 @@ def load_both(
     if not path.is_file():
         where = " here or among dynappo's own configs" if looked_up else ""
         raise ConfigError(f"{of}no file {name!r}{where}{_near(name, variant, flag)}")
+    if path.suffix != ".py":  # it would be run as Python, whatever it is
+        robot = path.suffix.lower() in (".xml", ".mjcf", ".urdf")
+        todo = f"; for a robot's file: {shell.line('adopt', path)}" if robot else ""
+        raise ConfigError(f"{of}{path} is no FILE.py, expected a config in Python{todo}")
     try:
         config, get_env = _run(path, variant)
         fields.check_names(flat(config))
@@ -155,8 +159,10 @@ def _line(error: BaseException) -> str:
     return " ".join(str(error).split())
 
 
-def override(config: config_dict.ConfigDict, field: str, text: str) -> None:
-    """Set `field` (dotted) from the text of a command line, with the type of its default."""
+def override(config: config_dict.ConfigDict, field: str, text: Any) -> None:
+    """Set `field` (dotted) from the text of a command line, with the type of its default.
+
+    What is no text is the value itself, from Python."""
     group, _, leaf = field.rpartition(".")
     try:
         node = functools.reduce(lambda c, k: c[k], filter(None, group.split(".")), config)
@@ -177,12 +183,13 @@ def override(config: config_dict.ConfigDict, field: str, text: str) -> None:
         raise ConfigError(f"--config.{field} is a group, expected one of {', '.join(old)}")
     kind = fields.field(field)
     assert kind is not None
+    is_text = isinstance(text, str)
     try:
-        value = text if kind.kind is str else ast.literal_eval(text.strip())
+        value = ast.literal_eval(text.strip()) if is_text and kind.kind is not str else text
     except (ValueError, SyntaxError, TypeError, RecursionError, MemoryError):  # of deep nesting too
         value = None
     value = fields.convert(kind, value)
-    none = kind.default is None and text.strip() == "None"  # that is a value, too
+    none = kind.default is None and str(text).strip() == "None"  # that is a value, too
     if value is None and not none:
         raise ConfigError(f"--config.{field}={text!r}: expected {fields.expected(kind)}")
     with node.ignore_type():

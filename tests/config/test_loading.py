@@ -8,7 +8,7 @@ import pytest
 from answers import ROOT, refused
 
 from dynappo import config as config_lib
-from dynappo.config import loading
+from dynappo.config import flags, loading
 from dynappo.tasks import names
 
 
@@ -122,17 +122,33 @@ def test_a_file_that_get_env_imports_and_that_is_no_python_is_one_line(tmp_path,
         ("/no/such/dir/go1.py:quick", "no file '/no/such/dir/go1.py'"),  # not dynappo's go1.py
         ("my/configs/go1.py", "no file 'my/configs/go1.py'"),
         ("", "no file ''"),
-        ("Go1JoystickFlatTerrain", "did you mean --config=playground:Go1JoystickFlatTerrain?"),
-        ("spotgetup:ppo", "did you mean --config=playground:SpotGetup:ppo?"),
-        ("ant", "configs; did you mean --config=brax:ant?"),
-        ("Go1", "configs; did you mean --config=go1?"),
-        ("G1:laptop", "did you mean --config=g1:laptop?"),
-        ("configs/go1.py:dyna3", "variant 'dyna3' is not one of ppo12, ppo16, dyna2"),
+        ("Go1JoystickFlatTerrain", "did you mean playground:Go1JoystickFlatTerrain?"),
+        ("spotgetup:ppo", "did you mean playground:SpotGetup:ppo?"),
+        ("ant", "configs; did you mean brax:ant?"),
+        ("Go1", "configs; did you mean go1?"),
+        ("G1:laptop", "did you mean g1:laptop?"),
+        (
+            "configs/go1.py:dyna3",
+            "configs/go1.py:dyna3: variant 'dyna3' is not one of ppo12, ppo16, dyna2",
+        ),
     ],
 )
 def test_a_file_or_variant_that_is_not_there_is_refused(spec, expected):
+    """From Python no flag is named; on a command line that is."""
     line = refused(config_lib.load, spec)
-    assert line.startswith("--config") and expected in line
+    assert expected in line and "--" not in line
+    assert refused(config_lib.load_both, spec).startswith("--config")
+
+
+@pytest.mark.parametrize("load", [config_lib.load, lambda spec: flags.load(spec, [])])
+@pytest.mark.parametrize(
+    ("name", "todo"), [("dog.xml", "adopt dog.xml"), ("walk.html", "expected a config in Python")]
+)
+def test_a_file_that_is_no_python_is_not_run(load, name, todo, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / name).write_text("raise SystemExit('it ran')")
+    line = refused(load, name)
+    assert f"{name} is no FILE.py" in line and line.endswith(todo)
 
 
 @pytest.mark.parametrize(
@@ -187,6 +203,20 @@ def test_an_override_has_the_value_and_the_type_of_the_field(field, text, value)
     if isinstance(value, tuple):
         assert [type(x) for x in found] == [type(x) for x in value]
     config_lib.split(config_lib.validate(config))
+
+
+def test_from_python_a_value_is_set_as_it_is():
+    config = load()
+    for field, value in (("ppo.gamma", 0.3), ("ppo.hidden", (64, 32)), ("model.late_epochs", None)):
+        config_lib.override(config, field, value)
+        assert get(config, field) == value
+    assert "=1.5: expected int" in refused(config_lib.override, config, "run.seed", 1.5)
+    assert "=3: expected str" in refused(config_lib.override, config, "robot", 3)
+
+
+def test_what_is_no_config_is_refused_with_what_loads_one():
+    assert refused(config_lib.validate, "go1").endswith("load returns: config.load('go1')")
+    assert "the config is None, expected" in refused(config_lib.validate, None)
 
 
 BAD_OVERRIDES = [  # field, text, what the line must say
