@@ -8,6 +8,7 @@ import base64
 import importlib
 import os
 import re
+from types import SimpleNamespace
 
 import nbformat
 import pytest
@@ -269,6 +270,26 @@ def test_a_notebook_uses_only_what_there_is(path):
     taken = {(n.value.id, n.attr) for n in used if n.value.id in modules}
     missing = [f"{name}.{attr}" for name, attr in taken if not hasattr(modules[name], attr)]
     assert (taken or path.stem in FOR_COLAB) and not missing
+
+
+@pytest.mark.parametrize("name", FOR_COLAB)
+@pytest.mark.parametrize(
+    ("repository", "said"),
+    [(None, "put your clone's address into"), ("https://no.example/x", "could not be cloned")],
+)
+def test_on_colab_nothing_is_installed_without_a_clone(
+    name, repository, said, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    inputs, install = (
+        python(cell) for cell in code(read(ROOT / "notebooks" / f"{name}.ipynb"))[:2]
+    )
+    names, shell = {}, SimpleNamespace(system=lambda _: None)  # a git that clones nothing
+    names["get_ipython"] = lambda: shell
+    exec(compile(inputs, name, "exec"), names)
+    names["repository"] = repository or names["repository"]
+    with pytest.raises(SystemExit, match=said):
+        exec(compile(install, name, "exec"), names)
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)

@@ -56,6 +56,12 @@ def check(
             np.savez(workdir / "nonfinite.npz", allow_pickle=False, **arrays)
         where += f"; robot {index[-1]}, as it was before, is in {workdir / 'nonfinite.npz'}"
     kept = workdir and checkpoint_file.iterations(workdir / "checkpoints")
+    if bad_robot and iteration == 1 and not own.path:
+        raise FloatingPointError(
+            f"{name} is not finite in iteration 1 ({where}). Nothing had been learned before, so it is the "
+            "environment's own: see what its reset and step compute (a division by 0, a root or logarithm?); "
+            "of a robot's task, its numbers in the config"
+        )
     raise FloatingPointError(
         f"{name} is not finite in iteration {iteration}: training has blown up ({where}). "
         f"{_of_terms(name, own)} ppo.desired_kl (where ppo.adaptive is False, ppo.learning_rate) or "

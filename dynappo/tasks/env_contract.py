@@ -8,6 +8,7 @@ expected.
 from __future__ import annotations
 
 import reprlib
+import textwrap
 import traceback
 from typing import Any
 
@@ -129,7 +130,7 @@ def _shapes(name: str, function: Any, *arguments) -> Any:
         frames = traceback.extract_tb(error.__traceback__)
         theirs = [f for f in frames if "-packages" not in f.filename and f.filename != __file__]
         place = f" ({_file(theirs[-1])}, line {theirs[-1].lineno})" if theirs else ""
-        text = " ".join(str(error).split())[:240]
+        text = textwrap.shorten(str(error), 240, placeholder=" ...")
         raise _wrong(
             f"{name} cannot be run{place}: {type(error).__name__}: {text}",
             "a function that JAX traces",

@@ -164,6 +164,15 @@ def test_what_is_not_as_the_contract_has_it_is_one_line(case):
     assert "\n" not in text and text.endswith("docs/environment.md has the contract")
 
 
+def test_a_long_error_is_cut_between_words():
+    def step(*_):
+        raise ValueError("traced " * 100)
+
+    config = environment.config_for(workdirs.config(**TELLS), TOY)
+    line = refused(build.check, config, TOY._replace(step=step))
+    assert " traced ..., expected a function" in line
+
+
 def test_an_environment_that_keeps_the_contract_passes():
     """With a model and without; what only the model asks for is not looked at without it."""
     config = environment.config_for(workdirs.config(**TELLS), TOY)

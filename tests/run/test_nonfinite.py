@@ -74,6 +74,20 @@ def test_where_there_are_terms_of_ones_own_they_are_named_first(name, said, tmp_
     assert "term" not in str(error.value)
 
 
+@pytest.mark.parametrize(
+    ("iteration", "robot", "environment"), [(1, 5, True), (2, 5, False), (1, -1, False)]
+)
+def test_no_learning_rate_is_blamed_for_the_first_rows_of_an_environment(
+    iteration, robot, environment
+):
+    data = metrics() | {"nonfinite_robot": np.full(4, robot)}
+    data["value_loss"][iteration - 1 :] = np.nan
+    with pytest.raises(FloatingPointError) as error:
+        nonfinite.check(data, {}, {}, dict, None)
+    assert ("it is the environment's own" in str(error.value)) == environment
+    assert ("ower ppo.desired_kl" in str(error.value)) != environment
+
+
 def poisoned(program, place):
     """The program with a NaN, or an absurd learning rate, at `place`."""
     h, state = program.hyper, program.state
@@ -107,7 +121,10 @@ def test_a_training_that_blows_up_names_the_first_bad_number(
     with pytest.raises(FloatingPointError, match=name) as error:
         workdirs.loop(config, bad, tmp_path)
     text = str(error.value)
-    assert "\n" not in text and "Lower ppo.desired_kl (where" in text
+    said = (
+        "Lower ppo.desired_kl (where" if place != "observation" else "it is the environment's own"
+    )
+    assert "\n" not in text and said in text
     assert not (tmp_path / "metrics.csv").exists()
     assert not list((tmp_path / "checkpoints").iterdir())
     dumped = tmp_path / "nonfinite.npz"
