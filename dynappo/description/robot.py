@@ -19,6 +19,9 @@ from dynappo.config import ConfigError, files
 from dynappo.description import collision, complete, faults, feet, joints, mjcf, robot_contract
 from dynappo.description import text as text_lib
 
+# the base's start below and above the default pose: of its height, in m, of its height
+DROP = 0.3, 0.15, 0.3
+
 # prefixes and suffixes of a model's arrays that do not decide how it moves: shapes that touch are no meshes,
 # and a file's own sensors are not read. All others do, also those that a later MuJoCo adds
 LOOKS = (
@@ -208,6 +211,17 @@ def digest(model: mujoco.MjModel) -> str:
     content = np.empty(mujoco.mj_sizeModel(model), np.uint8)
     mujoco.mj_saveModel(model, None, content)
     return hashlib.sha256(content.tobytes()).hexdigest()
+
+
+def spawn_note(robot: Robot, height: float) -> str:
+    """A line on episodes that begin far above or below the default pose; "" if they do not."""
+    home = robot.home_qpos[2]
+    if home - DROP[0] * home <= height <= home + max(DROP[1], DROP[2] * home):
+        return ""
+    return (
+        f"task.reset.spawn_height is {height:g} m, the base of the default pose at {home:.3f} m: "
+        f"{home + 0.05:.2f} is 5 cm more"
+    )
 
 
 def damping_rate(robot: Robot, kd, timestep: float) -> float:

@@ -32,11 +32,6 @@ RESTS = 0.02  # m in the last second: more is not at rest
 SLIDES, SUNK = 0.2, 0.005  # of its height, and m: feet that slide or sink in while it stands
 LOW = 0.01  # m: parts lower than this in the default pose touch the ground in walking
 EXPLORES = 0.37  # of a motor's limit; a third is the rule
-DROP = (
-    0.3,
-    0.15,
-    0.3,
-)  # the base's start below and above the default pose: of its height, in m, of its height
 LOAD = 0.4  # of the robot's mass, that its base's may vary by
 TORQUES, AT = (
     2e-4,
@@ -239,7 +234,7 @@ def _wrong_standing(robot: robot_lib.Robot, stood: dict) -> list[str]:
 
 def _wrong_config(robot: robot_lib.Robot, config) -> list[str]:
     task, out = config.task, []
-    home, mass = robot.home_qpos[2], robot.mj_model.body_mass.sum()
+    mass = robot.mj_model.body_mass.sum()
     count = len(robot.joint_names)
     effort, stall = (np.broadcast_to(x, count) for x in (task.effort_limit, task.saturation_effort))
     if (effort > stall).any():
@@ -257,12 +252,8 @@ def _wrong_config(robot: robot_lib.Robot, config) -> list[str]:
             f"ppo.init_std "
             "until it is a third"
         )
-    if not home - DROP[0] * home <= task.reset.spawn_height <= home + max(DROP[1], DROP[2] * home):
-        out.append(
-            f"task.reset.spawn_height is {task.reset.spawn_height:g} m, the base of the default pose at "
-            f"{home:.3f} m: "
-            f"{home + 0.05:.2f} is 5 cm more"
-        )
+    if note := robot_lib.spawn_note(robot, task.reset.spawn_height):
+        out.append(note)
     low, high = task.randomize.base_mass
     if max(-low, high) > LOAD * mass:
         out.append(

@@ -96,6 +96,15 @@ def engine_note(program: Program, config) -> str:
     return scope.slower(program.robot, config.physics, ground.under(config.task))
 
 
+def spawn_note(program: Program, config) -> str:
+    """A line on a robot that is dropped from far above its default pose, or begins far below; else ""."""
+    from dynappo.description import robot
+
+    if not config.robot or config.run.logs:  # a log's robot begins where it was
+        return ""
+    return robot.spawn_note(program.robot, config.task.reset.spawn_height)
+
+
 def _begin_warp() -> None:
     """Starting Warp takes 2 s, most of them outside of Python; meanwhile JAX traces."""
     import warp  # pyright: ignore[reportMissingImports]

@@ -81,7 +81,7 @@ def loop(
                 if line and i not in told:  # once a run
                     told.add(i)
                     say(line)
-                if first == 0 and (line := unpaid(chunks[i], runs[i].config)):
+                for line in of_own_terms(chunks[i], runs[i].config) if first == 0 else ():
                     say(line)
             except FloatingPointError as error:
                 blown_up(runs[i], done, error)
@@ -111,6 +111,23 @@ def loop(
     for action in later:
         action()
     return state, good
+
+
+def of_own_terms(chunk: dict[str, np.ndarray], config) -> list[str]:
+    """Lines on terms of one's own that did what nobody asks for in a run's first chunk."""
+    return [line for line in (unpaid(chunk, config), always_ending(chunk, config)) if line]
+
+
+def always_ending(chunk: dict[str, np.ndarray], config) -> str:
+    """A line on terminations of one's own that ended every row of a run's first chunk; "" without any."""
+    own, none = [f"ended_{name}" for name in terms.of(config.task).terminations], np.zeros(1)
+    every = [name for name in own if (chunk.get(name, none) >= 1 - 1e-6).all()]
+    if not every:
+        return ""
+    return (
+        f"{', '.join(every)} is 1 in every row so far: each episode ends with its first row, and nothing "
+        "can be learned; docs/task.md has unit and zero of what terms ask for"
+    )
 
 
 def unpaid(chunk: dict[str, np.ndarray], config) -> str:

@@ -171,7 +171,7 @@ def describe_program(out, config, program: Program) -> None:
         f"{memory.text(program.bytes_needed)} of memory",
         soft_wrap=True,
     )
-    if note := build.engine_note(program, config):
+    for note in filter(None, (f(program, config) for f in (build.engine_note, build.spawn_note))):
         unusual(out, note)
 
 

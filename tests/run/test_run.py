@@ -29,6 +29,7 @@ from dynappo.config import ConfigError
 from dynappo.policy import checkpoint_file
 from dynappo.program import build
 from dynappo.run import checkpoint, finish, learning_curves, log, training
+from dynappo.run import loop as loop_lib
 from dynappo.run import workdir as workdir_lib
 
 # ---- what it tells
@@ -153,6 +154,21 @@ def test_a_term_of_ones_own_that_is_always_0_is_told_once(config, program, tmp_p
     assert [line for line in said if "reward" in line] == [
         "reward_x is 0 in every row so far; docs/task.md has unit and zero of what terms ask for"
     ]
+
+
+def test_a_termination_of_ones_own_that_ends_every_row_is_told(tmp_path, config):
+    path, text = (
+        tmp_path / "mine.py",
+        "@terms.termination()\ndef {}(command): return command.sum() < 9\n",
+    )
+    path.write_text("from dynappo import terms\n" + text.format("low") + text.format("rare"))
+    config = config_lib.from_json(config_lib.to_json(config))
+    terms.use(config, terms.read(path))
+    chunk = {"ended_low": np.ones((2, 3), np.float32), "ended_rare": np.array([1.0, 0.9])}
+    (line,) = loop_lib.of_own_terms(chunk, config)
+    assert line.startswith(
+        "ended_low is 1 in every row so far: each episode ends with its first row"
+    )
 
 
 # ---- nothing of the process is changed

@@ -14,6 +14,7 @@ from rich.console import Console
 from dynappo import config as config_lib
 from dynappo.config import files, flags
 from dynappo.config import shell as shell_lib
+from dynappo.description import robot as robot_lib
 from dynappo.run import show
 from dynappo.train import command as train_command
 
@@ -95,6 +96,17 @@ def test_the_progress_line_shows_return_length_error_std_and_pace():
     assert "nan" not in line and line.startswith("return     -   length  988")
 
 
+@pytest.mark.parametrize(("height", "said"), [(50.0, True), (0.37, False)])
+def test_a_robot_that_is_dropped_from_far_above_is_told_before_training(height, said):
+    settings = config_lib.load("go1:laptop")
+    settings.task.reset.spawn_height = height
+    program = SimpleNamespace(impl="c", robot=robot_lib.load("go1"), device="cpu", bytes_needed=0)
+    program.compile_seconds, text = 7.0, io.StringIO()
+    show.describe_program(Console(file=text, width=200), config_lib.validate(settings), program)
+    line = "task.reset.spawn_height is 50 m, the base of the default pose at 0.325 m: 0.37 is 5 cm more"
+    assert (line in text.getvalue()) == said
+
+
 @pytest.mark.parametrize(("terminal", "every"), [(False, 1), (False, 4), (True, 1)])
 def test_a_training_is_followed_from_compiling_to_filming(terminal, every):
     """Of two runs: their mean, one clock, the steps of both. Without a terminal ten lines, not a hundred,
@@ -103,7 +115,7 @@ def test_a_training_is_followed_from_compiling_to_filming(terminal, every):
     kind = dict(force_terminal=terminal, force_interactive=terminal)
     out = Console(file=text, width=200, highlight=False, **kind)
     program = {"impl": "c", "device": "cpu", "compile_seconds": 7.2, "bytes_needed": 3 << 20}
-    program |= {"evaluated_on": "jax", "ready": lambda: False}
+    program |= {"evaluated_on": "jax", "ready": lambda: False, "robot": robot_lib.load("go1")}
     numbers = dict(episode_length=500.0, velocity_error=0.25, policy_std=0.5)
     with show.live(out, config("configs/go1.py:dyna4", num_iterations=100)) as callbacks:
         callbacks.opened()
