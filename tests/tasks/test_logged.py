@@ -298,15 +298,30 @@ def test_joints_and_feet_may_have_another_order(write, walked):
     assert_same(found._asdict(), expected._asdict())
 
 
+NAMES = robot_lib.load("go1").joint_names
 REFUSED = {  # entries of `about`, what becomes of the arrays, what the line must say
     "joints": (dict(joint_names=["knee"]), {}, "its joint_names are ['knee'], expected FL_hip"),
+    "a joint less": (
+        dict(joint_names=NAMES[:-1]),
+        {},
+        f"its joint_names lack {NAMES[-1]}, expected FL_hip",
+    ),
+    "a joint more": (
+        dict(joint_names=[*NAMES, "x"]),
+        {},
+        "its joint_names have too many: x, expected FL_hip",
+    ),
     "no joints": (dict(joint_names=None), {}, "its text `about` lacks joint_names"),
     "period": (dict(control_dt=0.01), {}, "its control_dt is 0.01, expected 0.02 s"),
     "gains": (dict(kp=40.0), {}, "its kp is 40.0, expected 25.0 as in the config"),
     "pose": (dict(default_pose=[0.0] * 12), {}, "its default_pose is [0.0, "),
     "text": (dict(kd="soft"), {}, "its kd is 'soft', expected 0.5"),
     "feet": (dict(foot_names=None), {}, "its foot_names are None, expected "),
-    "NaN": ({}, dict(action=lambda x: x / (x != x[7])), "action is not finite in 1 of 551 entries"),
+    "NaN": (
+        {},
+        dict(action=lambda x: x / (x != x[7])),
+        "in 1 of 551 entries, the first is entry 7;",
+    ),
     "no velocity": ({}, dict(linear_velocity=None), "shape (551, 3); no sensor tells it"),
     "no time": (
         {},
@@ -371,6 +386,10 @@ def test_what_is_no_log_is_one_line(tmp_path, write):
     assert "cannot be read" in refused(log_file.load, str(tmp_path / "none.npz"), robot, config)
     np.savez(path, about=json.dumps(["joint_names"]))
     assert "lacks joint_names, default_pose" in refused(log_file.load, str(path), robot, config)
+    np.savez(path, about="{joint_names: soft}")
+    assert "its text `about` is not JSON; robots/" in refused(
+        log_file.load, str(path), robot, config
+    )
     good = write()
     log_file.load(good, robot, config, log_file.digest(good))
     assert "another file" in refused(log_file.load, good, robot, config, "0" * 16)

@@ -17,7 +17,6 @@ One entry a control step: the readings before it, and the action that followed f
 
 from __future__ import annotations
 
-import contextlib
 import io
 import json
 import reprlib
@@ -130,8 +129,10 @@ def _expect(path: str, ok, text: str) -> None:
 def _about(path: str, arrays: dict[str, np.ndarray]) -> dict[str, Any]:
     """What the text in a log says; it is taken out of `arrays`."""
     about: Any = None
-    with contextlib.suppress(ValueError, RecursionError):
-        about = json.loads(str(arrays.pop("about", "")))
+    try:
+        about = json.loads(str(arrays.pop("about", "{}")))
+    except (ValueError, RecursionError):
+        _expect(path, False, "its text `about` is not JSON; robots/DEPLOY.md says what it holds")
     lacks = [name for name in ABOUT if not isinstance(about, dict) or name not in about]
     text = f"its text `about` lacks {', '.join(lacks)}; robots/DEPLOY.md says what it holds"
     _expect(path, not lacks, text)
@@ -141,7 +142,13 @@ def _about(path: str, arrays: dict[str, np.ndarray]) -> dict[str, Any]:
 def _order(expect, what: str, there: Any, here: tuple[str, ...]) -> list[int]:
     """Where each name of the robot is among those of the log."""
     same = isinstance(there, list) and sorted(map(str, there)) == sorted(here)
-    expect(same, f"its {what} are {_said(there)}, expected {' '.join(here)} in any order")
+    names = set(map(str, there)) if isinstance(there, list) else set()
+    apart = {"lack": set(here) - names, "have too many:": names - set(here)}
+    told = " and ".join(
+        f"{how} {' '.join(sorted(which)[:6])}" for how, which in apart.items() if which
+    )
+    found = f"its {what} {told}" if names & set(here) and told else f"its {what} are {_said(there)}"
+    expect(same, f"{found}, expected {' '.join(here)} in any order")
     return [there.index(name) for name in here]
 
 
@@ -171,7 +178,7 @@ def _check_arrays(expect, arrays: dict[str, np.ndarray], shapes: dict[str, tuple
         expect(found.shape == shape, f"{name} has the shape {found.shape}, expected {shape}")
         expect(found.dtype.kind in "fiub", f"{name} holds {found.dtype}, expected numbers")
         bad = np.flatnonzero(~np.isfinite(found.reshape(count, -1)).all(1)).tolist()
-        first = f"{len(bad)} of {count} entries, the first is number {bad[:1]}"
+        first = f"{len(bad)} of {count} entries, the first is entry {bad[0] if bad else 0}"
         expect(not bad, f"{name} is not finite in {first}; leave these out")
 
 
