@@ -87,7 +87,12 @@ def options(folder: Path, of: argparse.ArgumentParser) -> argparse.Namespace:
 
 
 def jobs(path: Path) -> dict[str, str]:
-    """`name -> the rest of its line` of a file of jobs; empty lines are left out."""
+    """`name -> the rest of its line` of a file of jobs; empty lines are left out. SystemExit without
+    a file."""
+    if not path.is_file():
+        raise SystemExit(
+            f"{path}: there is no such file; expected lines of NAME ROBOT:VARIANT [FIELD=VALUE ...]"
+        )
     lines = path.read_text().splitlines()
     return dict(line.split(maxsplit=1) for line in lines if line.strip())
 

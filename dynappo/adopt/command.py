@@ -76,7 +76,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     flags.notes = []
     if flags.name is None:
         flags.name = name_of(flags.file)
-        if flags.name != flags.file.stem:
+        if flags.name != flags.file.stem and flags.file.is_file():  # else that is what is wrong
             flags.notes.append(
                 f"name: {flags.name}, for a name has letters, digits and _, a letter first; --name=NAME "
                 "takes another"

@@ -142,7 +142,8 @@ def live(out, config, given: Mapping[str, str] | None = None, runs: int = 1) -> 
         # of several runs: one clock, and the steps of all
         begun.append((float(last[0]["seconds"]), sum(float(one["sim_steps"]) for one in last)))
         numbers = {name: [one[name] for one in last] for name in last[0]}
-        line = f"{progress_line(numbers, begun)} on {engine}"
+        where = "of the log" if config.run.logs else f"on {engine}"  # no simulator runs
+        line = f"{progress_line(numbers, begun)} {where}"
         bar.update(task, completed=iteration, line=line)
         nonlocal printed
         part = PARTS * iteration // total
@@ -327,12 +328,15 @@ def summary(out, config, workdir: Path, summary: dict[str, Any]) -> None:
         say(see)
     if not config.robot:
         return None
-    small = config.run.num_iterations < 200 or summary["impl"] == "c"
+    short = config.run.num_iterations < 200  # `:laptop` is longer
+    small = short or summary["impl"] == "c"
     task = config.task
     # of which `best` is a larger run: the state, on flat ground
     same = not task.terms and (task.terrain, task.observation, task.history) == ("flat", "full", 1)
     if small and same:
-        say(f"next: {shell.line('train', f'--config={config.robot}')}  (on a GPU)")
+        cpu = devices.local(config.run.device).platform == "cpu"
+        variant, where = (":laptop", "made for a CPU") if cpu and short else ("", "on a GPU")
+        say(f"next: {shell.line('train', f'--config={config.robot}{variant}')}  ({where})")
 
 
 def how_to_see(config, workdir: Path, summary: dict[str, Any]) -> str:

@@ -69,8 +69,8 @@ def main(about=__doc__, script=__file__, evaluation=None):
     parser.add_argument("--states", type=Path, help="a folder, for runs that are stopped")
     parser.add_argument("--only", help="run this job of the file in this process")
     args = parser.parse_args()
-    args.out.mkdir(parents=True, exist_ok=True)
     jobs = paper.jobs(args.jobs)
+    args.out.mkdir(parents=True, exist_ok=True)
     if args.only:
         devices.own_process()
         job, *fields = jobs[args.only].split()

@@ -99,7 +99,11 @@ def main():
 def read(path: Path, batch: str | None = None) -> dict[str, list[dict]]:
     """`name -> rows`, numbers as such: of a folder of NAME.csv, or of one packed file, or of its `batch`.
     Batches that ran the same settings under one name are one job; of others the later is called
-    `NAME of batch K`."""
+    `NAME of batch K`. SystemExit where there is neither."""
+    if not path.exists():
+        raise SystemExit(
+            f"{path}: there is no such file or folder; expected what run.py or pack.py wrote"
+        )
     if path.is_dir():
         return {file.stem: rows(file.open(newline="")) for file in sorted(path.glob("*.csv"))}
     jobs, first = {}, {}

@@ -61,6 +61,8 @@ def main():
 
 def teach(args) -> None:
     """Distil the teacher of a command line, and write the student; ConfigError before all compiling."""
+    for name in ("steps", "robots"):
+        flags.whole(name, str(getattr(args, name)), 1)
     config = flags.load(args.config, [f"--config.{text}" for text in (*ONBOARD, *args.set)])
     config = config_lib.validate(config)
     fitted, robot = motors.fitted(config, robot_lib.load(config.robot))

@@ -239,6 +239,13 @@ MISTAKES = {  # arguments, what the line must say
 }
 
 
+@pytest.mark.parametrize("name", [".", "3.xml"])
+def test_no_name_is_chosen_for_what_is_no_file(name, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert mistake(command.main, [name], capsys).startswith(f"dynappo: {name}: ")
+    assert command.parse([name]).notes == []
+
+
 @pytest.mark.parametrize("name", MISTAKES)
 def test_a_mistake_is_one_line_and_leaves_nothing(name, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)

@@ -132,6 +132,16 @@ def test_the_table_of_ppos_grid_is_that_of_its_runs():
     )
 
 
+@pytest.mark.parametrize("name", ["run", "table"])
+def test_a_script_without_its_file_is_one_line_and_makes_nothing(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    argv = [name, *["out"] * (name == "run"), "nofile.txt"]
+    monkeypatch.setattr(sys, "argv", argv)
+    with pytest.raises(SystemExit, match=r"^nofile.txt: there is no such file"):
+        script(f"21_less/{name}").main()
+    assert not list(tmp_path.iterdir())
+
+
 def test_best_setting_is_the_one_that_walks_soonest_and_never_counts_twice(tmp_path, monkeypatch):
     """Setting `a` walks at 2 M and never (of 3 M): (2 + 6) / 2; `b` at 3 M twice. `c` is another robot's. The
     chosen settings have the fresh seeds, and a job that has not run is named."""

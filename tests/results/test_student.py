@@ -59,6 +59,8 @@ def test_a_teacher_says_what_its_policy_does_in_the_exact_state():
             "--set physics.substeps=5",
             "acts every 0.02 s and the student every 0.025 s, by physics.timestep and physics.substeps",
         ),
+        ("--steps -3", "--steps='-3': expected"),
+        ("--robots 0", "--robots='0': expected"),
         ("--teacher nothing", "nothing: no such file or folder; expected a workdir"),
         ("--config nope", "--config: no file 'nope'"),
         ("--set task.nothing=1", "--config.task.nothing: no such field"),

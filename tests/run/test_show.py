@@ -297,6 +297,32 @@ def test_the_last_table_has_the_numbers_and_what_to_do_next(name):
     assert f"next: {shell_lib.command_line()} train --config=go1" in found
 
 
+@pytest.mark.parametrize(
+    ("platform", "iterations", "said"),
+    [
+        ("cpu", 20, ":laptop  (made for a CPU)"),
+        ("cpu", 400, "  (on a GPU)"),
+        ("gpu", 20, "  (on a GPU)"),
+    ],
+)
+def test_the_next_run_is_one_for_this_machine(platform, iterations, said, monkeypatch):
+    monkeypatch.setattr(show.devices, "local", lambda _: SimpleNamespace(platform=platform))
+    text, run = io.StringIO(), config("go1:laptop", num_iterations=iterations)
+    show.summary(Console(file=text, width=200), run, pathlib.Path("runs/x"), SUMMARY)
+    assert f"train --config=go1{said}\n" in text.getvalue()
+
+
+def test_the_pace_of_a_log_is_no_simulators(monkeypatch):
+    monkeypatch.setattr(show, "describe_program", lambda *_: None)
+    text, settings = io.StringIO(), config_lib.load("go1:laptop")
+    settings.run.logs = "walked.npz"
+    numbers = dict(episode_length=5.0, policy_std=0.5, episode_return=1.0, seconds=1.0, sim_steps=9)
+    with show.live(Console(file=text, width=200), settings) as callbacks:
+        callbacks.compiled(SimpleNamespace(impl="c"))
+        callbacks.progress(400, [numbers])
+    assert "k steps/s of the log\n" in text.getvalue()
+
+
 @pytest.mark.parametrize("field", ["task.observation=onboard", "task.history=2"])
 def test_where_the_policy_sees_something_else_no_other_task_is_proposed(field):
     text = io.StringIO()
