@@ -85,7 +85,7 @@ def test_no_learning_rate_is_blamed_for_the_first_rows_of_an_environment(
     with pytest.raises(FloatingPointError) as error:
         nonfinite.check(data, {}, {}, dict, None)
     assert ("it is the environment's own" in str(error.value)) == environment
-    assert ("ower ppo.desired_kl" in str(error.value)) != environment
+    assert ("Lower ppo.desired_kl" in str(error.value)) != environment
 
 
 def poisoned(program, place):

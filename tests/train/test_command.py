@@ -290,6 +290,7 @@ def test_ctrl_c_promises_what_is_there(flags, saved, expected, monkeypatch, caps
 def compiles(monkeypatch, **about):
     """Compiling takes no time, and makes a program that nobody runs."""
     about |= {"compile_seconds": 0, "bytes_needed": 1, "state": {}}
+    about.setdefault("robot", robot_lib.load("go1"))
     monkeypatch.setattr(build, "program", lambda *_, **__: SimpleNamespace(**about))
 
 
