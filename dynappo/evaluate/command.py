@@ -14,8 +14,10 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import itertools
 import json
 from pathlib import Path
+from typing import Any
 
 from dynappo.config import ConfigError, files, shell
 from dynappo.config import flags as flags_lib
@@ -37,6 +39,7 @@ from dynappo.policy import policy_source
 from dynappo.policy.episode import Player
 from dynappo.policy.policy_file import Policy
 from dynappo.program import devices
+from dynappo.tasks.velocity import log_file
 
 UNITS = {
     "return": "sum of rewards of an episode",
@@ -63,6 +66,8 @@ UNITS = {
     "every": "s",
     "fell_at": "s",
 }
+RESULTS = "evaluation.json", "stress.json", "crossing.json"
+OF_ONE = "policy", "policy_sha256", "robot_xml"  # equal in results that may replace each other
 STRESS_UNITS = {name: UNITS[name] for name in ("tracking_error", "yaw_error")}
 FEW_CHANGES = 48  # with --fast
 MAX_EPISODES = 10**6  # of which each is a robot in memory
@@ -78,7 +83,7 @@ or the name of a robot with a bundled policy
   python -m dynappo.evaluate runs/go1 --randomize --episodes=200 --out=hard
   python -m dynappo.evaluate runs/seeds --run-seed=3 --out=third
   python -m dynappo.evaluate go1 --fast --robot-xml=other/scene.xml
-  python -m dynappo.evaluate go1 --record=walked.npz --seconds=80 --noise=0.2
+  python -m dynappo.evaluate go1 --record=example.npz --seconds=80 --noise=0.2
 with --robot-xml the task's episodes need a file that keeps the rules of robots/README.md; --fast does not
 it writes evaluation.json, report.html (tables, maps, the robot under each command), tracking.png and
 gait.png; with --stress only stress.json, with --record only FILE.npz
@@ -136,6 +141,8 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
             setattr(flags, name, flags_lib.whole(name, text, *bounds))
     if flags.crossing and (flags.stress or flags.fast or flags.randomize):
         raise ConfigError("--crossing: expected no --stress, --fast or --randomize beside it")
+    if flags.stress and flags.fast:
+        raise ConfigError("--stress: expected no --fast beside it, there is no faster one")
     for name in ("episodes", "randomize", "seed"):
         value, without = getattr(flags, name), "stress" if flags.stress else "fast"
         if name == "seed" and without == "fast":  # of the changes of command too
@@ -166,8 +173,11 @@ def _check_record(flags) -> None:
         raise ConfigError(
             f"{found}: expected --record=FILE.npz, with --seconds, --noise and --seed alone"
         )
+    if flags.record.exists():  # a robot's own log cannot be had again
+        raise ConfigError(f"--record={flags.record}: is there already; name a new file, or move it")
     flags_lib.check_writable(flags.record, "record")
-    flags.seconds = flags_lib.whole("seconds", flags.seconds or str(RECORDED), 1, MOST_SECONDS)
+    seconds = flags.seconds or str(RECORDED)
+    flags.seconds = flags_lib.whole("seconds", seconds, round(log_file.LEAST), MOST_SECONDS)
     try:
         noise = float(flags.noise or 0)
     except ValueError:
@@ -211,14 +221,43 @@ def rough_note(policy: Policy, flags) -> str:
     return f"{told}--crossing tells which tiles it crosses"
 
 
-def replaced(out: Path, named: str) -> str:
-    """A line where the folder has results of another policy, about to be written over; else ""."""
-    for name in ("evaluation.json", "stress.json", "crossing.json"):
-        with contextlib.suppress(OSError, ValueError, TypeError, KeyError):
-            before = json.loads((out / name).read_bytes())["policy"]
-            if before != named:
-                return f"note: {out} holds results of {before}; --out=DIR keeps both"
-    return ""
+def others(out: Path, about: dict[str, Any]) -> dict[str, Any] | None:
+    """The first results in a folder that are of another policy than `about`, or in another robot's file."""
+    for name in RESULTS:
+        with contextlib.suppress(OSError, ValueError, TypeError, KeyError, AttributeError):
+            before = json.loads((out / name).read_bytes())
+            if before["policy"] and any(before.get(n) != about.get(n) for n in OF_ONE):
+                return before
+    return None
+
+
+def settle(flags, path: Path, about: dict[str, Any]) -> tuple[Path, str]:
+    """`(folder, note)` of the results. Where another policy has the default folder they go beside it; in that
+    of a run, whose policy goes on, and in `--out` they replace the old ones, and the note says so."""
+    first = out = flags.out or folder(flags.what, path)
+    before = others(out, about)
+    if before is None:
+        return out, ""
+    whose = before["policy"] + f" in {before.get('robot_xml')}" * bool(before.get("robot_xml"))
+    same_robot = before.get("robot_xml") == about.get("robot_xml")
+    if flags.out or (out.name == "evaluation" and same_robot):
+        return out, f"note: {out} holds results of {whose}; --out=DIR keeps both"
+    numbers = itertools.count(2)
+    while others(out, about) is not None:
+        out = first.with_name(f"{first.name}-{next(numbers)}")
+    return out, f"note: {first} holds results of {whose}; these go to {out}"
+
+
+def kept_episodes(out: Path, about: dict[str, Any]) -> dict[str, Any] | None:
+    """The task's episodes of the same policy that the folder has: `--fast` measures none, and loses none.
+    They say which code they are of."""
+    with contextlib.suppress(OSError, ValueError, TypeError, KeyError, AttributeError):
+        before = json.loads((out / RESULTS[0]).read_bytes())
+        if before["episodes"] and all(before.get(n) == about.get(n) for n in OF_ONE):
+            tables.episodes_text(before["episodes"])  # whether it can be shown
+            tables.episodes_rows(before["episodes"])
+            return {name: before[name] for name in ("commit", "mujoco")} | before["episodes"]
+    return None
 
 
 def inputs(flags) -> tuple[Policy, Player, Robot | None, Path, tuple[str, str]]:
@@ -245,26 +284,26 @@ def run(flags) -> None:
     if (other := policy_source.other(flags)) is not None:
         theirs, path, named = other
         config = task_episodes.check(theirs, flags)
-        out = flags.out or folder(flags.what, path)
+        out, other_results = settle(flags, path, episodes.measured(theirs.params, named))
         check_folder(out)
+        if other_results:
+            print(other_results)
         return task_episodes.run(theirs, config, flags, named, out)
     policy, player, robot, path, (named, note) = inputs(flags)
     if flags.record:
-        read = {"the policy": path, "--robot-xml": flags.robot_xml, "--terms": flags.terms}
-        flags_lib.check_kept(flags.record, read, "record")
         return _record(flags, player, named)
-    out = flags.out or folder(flags.what, path)
+    about = {"robot": policy.robot, **episodes.measured(policy.params, named)}
+    about |= {"robot_xml": flags.robot_xml} if flags.robot_xml else {}
+    out, other_results = settle(flags, path, about)
     check_folder(out)
     screen = Console(highlight=False, emoji=False)
     inside = f" in {player.xml}" if flags.robot_xml else ""
     text = shell.pasted(f"dynappo evaluates {policy.robot}: {named}{inside}")
     screen.print(text, soft_wrap=True, markup=False)
-    for line in filter(None, (note, replaced(out, named))):
+    for line in filter(None, (note, other_results)):
         screen.print(line, soft_wrap=True, markup=False)
     if flags.crossing:
-        return _crossing(flags, screen, policy, robot, named, out)
-    about = {"robot": policy.robot, **episodes.measured(policy.params, named)}
-    about |= {"robot_xml": flags.robot_xml} if flags.robot_xml else {}
+        return _crossing(flags, screen, policy, robot, about, out)
     if flags.stress:
         with tables.progress(screen, "disturbances") as tell:
             rows = stress.run(policy, player, tell)
@@ -300,6 +339,9 @@ def run(flags) -> None:
         with screen.status("compiling and running"):
             of_task = episodes.run(policy, number, flags.randomize, flags.seed or 0, robot)
         tables.episodes(screen, of_task)
+    elif of_task := kept_episodes(out, about):
+        told = f"keeps the {of_task['episodes']} episodes of the training task that {out} holds"
+        screen.print(told, soft_wrap=True, markup=False)
     result = about | {"episodes": of_task, "sweep": numbers, "changes": changed, "units": UNITS}
     problem = figures.write(out, policy.robot, numbers, recordings, policy.timestep)
     report.write(out, named, player, numbers, recordings, changed, of_task)
@@ -327,14 +369,13 @@ def _record(flags, player: Player, named: str) -> None:
     screen.print(f"dynappo records {text}", soft_wrap=True, markup=False)
 
 
-def _crossing(flags, screen, policy: Policy, robot: Robot | None, named: str, out: Path) -> None:
+def _crossing(flags, screen, policy: Policy, robot: Robot | None, about, out: Path) -> None:
     """Which tiles of a rough ground the policy crosses: printed, and written as crossing.json."""
     devices.own_process()
     screen.print("compiles, and tries the tiles; on a CPU minutes", soft_wrap=True)
     with screen.status("compiling and running"):
         numbers = crossing.run(policy, flags.episodes, flags.seed or 0, robot)
     tables.crossing(screen, numbers)
-    about = {"robot": policy.robot, **episodes.measured(policy.params, named)}
     files.write_json(out / "crossing.json", about | numbers)
     screen.print(f"written to {out}: crossing.json", soft_wrap=True, markup=False)
 

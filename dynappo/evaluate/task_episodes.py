@@ -32,7 +32,7 @@ UNITS = {
 
 def check(policy: Other, flags) -> Any:
     """The config of the evaluation, validated; ConfigError for what cannot be done."""
-    for name in ("stress", "crossing", "fast", "randomize"):
+    for name in ("record", "stress", "crossing", "fast", "randomize"):
         if getattr(flags, name):
             raise ConfigError(
                 f"--{name}: the policy is of {policy.config.env}, which has its own episodes alone"

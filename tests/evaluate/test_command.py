@@ -5,18 +5,28 @@ import json
 import re
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import toy_sweep
-from answers import mistake, shell, status
+from answers import mistake, refused, shell, status
 from ml_collections import config_dict
 from rich.console import Console
 from toy_policy import actor, described
 
 from dynappo import config as config_lib
 from dynappo.description import robot as robot_lib
-from dynappo.evaluate import changes, episodes, recording, slow, stairs, stress, trials
+from dynappo.evaluate import (
+    changes,
+    episodes,
+    recording,
+    slow,
+    stairs,
+    stress,
+    task_episodes,
+    trials,
+)
 from dynappo.evaluate import command as evaluate_command
 from dynappo.evaluate import tables as evaluate_tables
 from dynappo.policy import episode, policy_file, policy_source
@@ -124,7 +134,7 @@ def test_stopped_after_a_table_it_leaves_nothing(saved, tmp_path, monkeypatch, c
     task = policy.config["task"] | {"terrain": "rough"}
     rough = policy._replace(config=policy.config | {"task": task})
     monkeypatch.setattr(policy_source, "load", lambda *_: (rough, saved))
-    assert run(saved, "--stress", "--fast", f"--out={tmp_path}/new/folder") == 130
+    assert run(saved, "--stress", f"--out={tmp_path}/new/folder") == 130
     said = capsys.readouterr()
     assert "1 of 4" in said.out and said.err == "dynappo: stopped\n"
     assert not [*tmp_path.iterdir()]
@@ -142,6 +152,68 @@ def test_where_an_evaluation_goes(tmp_path):
         ("a/best.npz", Path("a/best.npz"), Path("evaluation-best")),
     ):
         assert evaluate_command.folder(str(what), path) == expected
+
+
+def results(out, name="evaluation.json", **entries):
+    """A folder with such a file."""
+    out.mkdir(parents=True, exist_ok=True)
+    (out / name).write_text(json.dumps(entries))
+
+
+def test_results_of_another_policy_or_robot_are_not_written_over(tmp_path, monkeypatch):
+    """In a default folder; in that of a run, whose policy goes on, and in --out a note says so."""
+    monkeypatch.chdir(tmp_path)
+    flags, path = SimpleNamespace(out=None, what="go1"), Path("robots/go1/policy.npz")
+    about, first = dict(policy="robots/go1/policy.npz", policy_sha256="a"), Path("evaluation-go1")
+    settle = evaluate_command.settle
+    assert settle(flags, path, about) == (first, "")
+    results(first, "stress.json", **about)
+    assert settle(flags, path, about) == (first, "")
+    for other in (about | {"policy_sha256": "b"}, about | {"robot_xml": "go2.xml"}):
+        out, note = settle(flags, path, other)
+        assert (str(out), note) == (
+            "evaluation-go1-2",
+            f"note: {first} holds results of {path}; these go to evaluation-go1-2",
+        )
+    results(out, **other)
+    assert settle(flags, path, other)[0] == out
+    assert settle(flags, path, about | {"robot_xml": "x"})[0].name == "evaluation-go1-3"
+    flags = SimpleNamespace(out=out, what="go1")
+    expected = f"note: {out} holds results of {path} in go2.xml; --out=DIR keeps both"
+    assert settle(flags, path, about) == (out, expected)
+    results(Path("run/evaluation"), **about)
+    Path("run/config.json").touch()
+    flags = SimpleNamespace(out=None, what="run")
+    out, note = settle(flags, Path("run/policy.npz"), about | {"policy_sha256": "b"})
+    assert (str(out), note[-22:]) == ("run/evaluation", "; --out=DIR keeps both")
+    out, _ = settle(flags, Path("run/policy.npz"), about | {"robot_xml": "go2.xml"})
+    assert str(out) == "run/evaluation-2"
+
+
+def test_fast_keeps_the_episodes_of_the_same_policy(saved, tmp_path, monkeypatch, capsys):
+    """They say which code they are of."""
+    of_task = dict(episodes=5, seconds=20.0, randomize=True, device="cpu", impl="c")
+    of_task |= {"return": 33.25, "return_std": 1.5, "length": 987.0, "fall_rate": 0.2}
+    policy = policy_file.load(saved)
+    named = policy_source.named(str(saved), saved)
+    about = episodes.measured(policy.params, named) | {"commit": "old"}
+    results(tmp_path, **about, episodes=of_task)
+    monkeypatch.setattr(trials, "run", lambda *_, **__: (toy_sweep.numbers(), []))
+    monkeypatch.setattr(changes, "run", lambda *_: toy_sweep.changes())
+    monkeypatch.setattr(changes, "tours", lambda *_: [])
+    monkeypatch.setattr(evaluate_command.figures, "write", lambda *_: "")
+    shown = []
+    monkeypatch.setattr(evaluate_command.report, "write", lambda *a: shown.append(a[-1]))
+    expected = {"commit": "old", "mujoco": about["mujoco"]} | of_task
+    for _ in range(2):
+        assert run(saved, "--fast", f"--out={tmp_path}") == 0
+        written = json.loads((tmp_path / "evaluation.json").read_text())
+        assert written["episodes"] == expected == shown.pop() and written["commit"] != "old"
+        assert f"keeps the 5 episodes of the training task that {tmp_path} holds" in "".join(
+            capsys.readouterr().out.splitlines()
+        )
+    results(tmp_path, **about | {"policy_sha256": "b"}, episodes=of_task)
+    assert run(saved, "--fast", f"--out={tmp_path}") == 0 and shown == [None]
 
 
 def test_falls_are_named():
@@ -221,8 +293,10 @@ MISTAKES = {  # arguments, what the line must say
     "recorded where": (["POLICY", "--record=POLICY/a.npz"], "cannot write there (File exists)"),
     "recorded over": (
         ["POLICY", "--record=POLICY"],
-        "mover.npz: this would overwrite the policy",
+        "mover.npz: is there already; name a new file, or move it",
     ),
+    "a short record": (["go1", "--record=a.npz", "--seconds=9"], "an integer of 10 or more"),
+    "stress": (["POLICY", "--stress", "--fast"], "--stress: expected no --fast beside it"),
     "seconds": (
         ["POLICY", "--seconds=9"],
         "--seconds is for --record=FILE.npz, which is not there",
@@ -287,3 +361,10 @@ def test_a_long_measurement_says_what_begins_and_how_far_it_is(monkeypatch):
             for done in (1, 2, 3):
                 tell(done, 3)
         assert text.getvalue() == "measures commands in C MuJoCo\n" + more
+
+
+def test_a_log_of_another_packages_environment_is_refused_by_its_flag():
+    policy = SimpleNamespace(config=SimpleNamespace(env="brax:hopper"))
+    flags = SimpleNamespace(record=Path("a.npz"), fast=True)  # as --record sets both
+    line = refused(task_episodes.check, policy, flags)
+    assert line == "--record: the policy is of brax:hopper, which has its own episodes alone"

@@ -3,6 +3,7 @@
 import json
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -138,11 +139,16 @@ def test_evaluations_of_two_sweeps_and_of_two_policies_do_not_mix(inside):
         Path(sweep, "sweep.json").write_text("{}")
         path = policy_source.locate(sweep)
         assert evaluate_command.folder(sweep, path) == Path(sweep) / "evaluation"
-    assert evaluate_command.replaced(inside, "a/policy.npz") == ""
-    Path("evaluation.json").write_text(json.dumps({"policy": "b/policy.npz"}))
-    line = evaluate_command.replaced(inside, "a/policy.npz")
+    flags, a, b = (
+        SimpleNamespace(out=inside),
+        {"policy": "a/policy.npz"},
+        {"policy": "b/policy.npz"},
+    )
+    assert evaluate_command.settle(flags, inside, a) == (inside, "")
+    Path("evaluation.json").write_text(json.dumps(b))
+    _, line = evaluate_command.settle(flags, inside, a)
     assert line == f"note: {inside} holds results of b/policy.npz; --out=DIR keeps both"
-    assert evaluate_command.replaced(inside, "b/policy.npz") == ""
+    assert evaluate_command.settle(flags, inside, b) == (inside, "")
 
 
 def test_a_policy_in_another_order_does_the_same_and_its_file_says_which(inside):
