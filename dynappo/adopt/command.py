@@ -238,6 +238,8 @@ def check_writable(folder: Path, config: Path) -> None:
 
 def run(flags) -> None:
     """Adopt the robot as the flags say; print each assumption, then what needs action, then what is next."""
+    if flags.file.suffix.lower() not in source.SUFFIXES:
+        source.read(flags.file)  # what it is not comes before what its name is not
     folder, config = check_free(flags.name, flags.force)
     check_writable(folder, config)
     notes: list[str] = flags.notes

@@ -67,9 +67,11 @@ def parse(argv: list[str] | None):
     known, rest = flags.read_with_fields(parser, argv)
     repeats = flags.whole("repeats", known.repeats, 1, 10_000)
     if known.out:  # before minutes of measuring
+        if known.out.suffix != ".json":
+            raise ConfigError(f"--out={known.out}: expected a file named .json")
         flags.check_writable(known.out)
     names = [known.config, known.vs] if known.vs else [known.config]
-    sources = [(name, rest) for name in names]
+    sources = [(name, rest, flag) for name, flag in zip(names, ("--config", "--vs"), strict=False)]
     if known.engines:
         engines = known.engines.split(",")
         if len(engines) != 2 or known.vs:
@@ -78,13 +80,19 @@ def parse(argv: list[str] | None):
                 "--engines=c,jax, without --vs"
             )
         names = engines
-        sources = [(known.config, [*rest, f"--config.physics.impl={e}"]) for e in engines]
+        impl = "--config.physics.impl="
+        sources = [(known.config, [*rest, f"{impl}{e}"], "--config") for e in engines]
     configs = []
-    for name, fields in sources:
-        config = flags.load(name, fields)
+    for name, fields, flag in sources:
+        config = flags.load(name, fields, flag)
         # an evaluation would compile beside what is timed
         config.run.update(num_seeds=1, mesh_seed=1, eval_every=0, eval_envs=0)
-        configs.append(config_lib.validate(config))
+        try:
+            configs.append(config_lib.validate(config))
+        except ConfigError as error:
+            if known.engines and str(error).startswith("physics.impl is"):
+                raise ConfigError(f"--engines={known.engines}: {error}") from None
+            raise
     if names[1:] == names[:1]:  # how much two measurements of the same differ
         names = [names[0], f"{names[0]}, again"]
     return configs, names, repeats, known.out, known.compile
@@ -117,6 +125,8 @@ def show(names, reports, versus) -> None:
         if "compilation" in reports[0]:
             rows[f"set-up, {name} cache, s"] = [f"{r['compilation'][name]:.1f}" for r in reports]
     for label, cells in rows.items():
+        if not any(cells):  # a CPU does not tell its memory
+            continue
         table.add_row(label, *cells)
     out = Console(highlight=False, emoji=False)
     engines = " and ".join(dict.fromkeys(devices.ENGINES[r["impl"]] for r in reports))

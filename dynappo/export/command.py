@@ -140,6 +140,11 @@ def run(flags) -> None:
     print(shell.pasted(f"dynappo exports {policy.robot}: {named}"))
     if flags.robot_xml and not same_pose(policy, robot):
         note = f"note: the default pose of {robot.xml} is another; the policy keeps its own"
+    if flags.robot_xml and flags.out.suffix == ".npz":
+        text = (
+            f"the robot in {flags.out} is now that of {robot.xml}, no longer that of its training"
+        )
+        note = "\n".join(filter(None, [f"note: {text}", note]))
     if note:
         print(note)
     for name, text in table(policy, flags.out, order, flags.targets):

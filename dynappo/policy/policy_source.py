@@ -8,6 +8,7 @@ of the same name, the policy's own is used, and a note says so (`robot`).
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
 from pathlib import Path
@@ -115,6 +116,8 @@ def with_terms(policy: Policy, file: Path | None) -> tuple[Policy, str]:
     task = policy.config.get("task", {})
     if not task.get("terms_hash"):
         raise ConfigError(f"--terms={file}: the policy was trained without terms of one's own")
+    if not file.is_file():
+        raise ConfigError(f"--terms={file}: no such file")
     config = config_lib.from_json(json.dumps(policy.config))
     terms.use(config, terms.read(file))
     here = config.to_dict()["task"]
@@ -284,7 +287,12 @@ def tiles(policy: Policy) -> Any:
 def _of_flag(xml: str, load):
     """`load(path)` of `--robot-xml`; errors name the flag."""
     if not os.path.isfile(xml):
-        raise ConfigError(f"--robot-xml={xml}: no such file")
+        found = "it is a folder" if os.path.isdir(xml) else "no such file"
+        raise ConfigError(f"--robot-xml={xml}: {found}, expected an MJCF")
+    with contextlib.suppress(OSError), open(xml, "rb") as file:
+        start = file.read(2**16).removeprefix(b"\xef\xbb\xbf").lstrip()
+        if not start.startswith(b"<"):  # else MuJoCo speaks of decoders, or of a parser's error 8
+            raise ConfigError(f"--robot-xml={xml}: it is no XML, expected an MJCF")
     try:
         return load(Path(xml))
     except ConfigError as error:  # its text begins with the path

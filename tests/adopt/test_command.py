@@ -225,6 +225,7 @@ MISTAKES = {  # arguments, what the line must say
         ["map.png"],
         "map.png: it is not text in UTF-8; expected an MJCF or a URDF, saved in",
     ),
+    "a policy": (["go1.npz"], "go1.npz: it is not text in UTF-8; expected an MJCF or a URDF"),
     "UTF-16": (["wide.xml"], "wide.xml: it is not text in UTF-8"),
     "no number": (
         ["nan.xml"],
@@ -256,6 +257,7 @@ def test_a_mistake_is_one_line_and_leaves_nothing(name, tmp_path, monkeypatch, c
     Path("cut.xacro").write_text("<robot>")
     Path("computed.xacro").write_text(COMPUTED)
     Path("map.png").write_bytes(b"\x89PNG\r\n\x1a\n\xff")
+    Path("go1.npz").write_bytes(b"PK\x03\x04\xff")
     Path("wide.xml").write_text(published.mjcf(), encoding="utf-16")
     Path("nan.xml").write_text(published.mjcf().replace("0 0 0.3 1", "0 0 nan 1"))
     calf = '<position class="calf" name="FR_calf"'

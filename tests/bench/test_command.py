@@ -21,7 +21,12 @@ GO1 = "--config=configs/go1.py:quick"
         ([GO1, "--fast"], "--fast: no such flag"),
         ([GO1, "--engines=c"], "--engines is c, expected two engines of one config"),
         ([GO1, "--engines=c,jax", f"--vs={GO1[9:]}"], "without --vs"),
-        ([GO1, "--engines=c,cuda"], "physics.impl is 'cuda', expected one of auto, jax, warp, c"),
+        (
+            [GO1, "--engines=c,cuda"],
+            "--engines=c,cuda: physics.impl is 'cuda', expected one of auto, jax, warp, c",
+        ),
+        ([GO1, "--vs=go1:lap"], "--vs=go1:lap: "),
+        ([GO1, "--out=b.csv"], "--out=b.csv: expected a file named .json"),
         ([GO1, "--out=/proc/no/b.json"], "--out=/proc/no/b.json: cannot write there"),
     ],
 )
@@ -83,6 +88,7 @@ def test_it_prints_a_column_a_config_and_writes_the_same_numbers(tmp_path, monke
         ["set-up, warm cache, s", "6.0", "6.0"],
     ):
         assert expected in rows
+    assert "memory" not in text  # a CPU does not tell it
     said = f"an iteration of {vs} takes 0.500 of one of configs/go1.py:quick (0.450 to 0.550"
     assert said in " ".join(text.split())
     written = json.loads(out.read_text())

@@ -224,6 +224,11 @@ MISTAKES = {  # flags, what the line must say
     "suffix": (["go1", "--out=walk.avi"], "--out=walk.avi: expected a file named .mp4, .gif"),
     "a folder": (["go1", "--out=taken.html"], "--out=taken.html: cannot write there (Is a dir"),
     "no file": (["go1", "--robot-xml=no.xml"], "--robot-xml=no.xml: no such file"),
+    "a folder as robot": (
+        ["go1", "--robot-xml=taken.html"],
+        "--robot-xml=taken.html: it is a folder, expected an MJCF",
+    ),
+    "no MJCF": (["go1", "--robot-xml=mine.png"], "mine.png: it is no XML, expected an MJCF"),
     "no robot": (["go1", "--robot-xml=empty.xml"], "--robot-xml=empty.xml: expected hinge joints"),
     "size": (
         ["go1", "--out=a.mp4", "--size=big"],

@@ -165,7 +165,8 @@ def test_a_robot_is_written_as_one_file(tmp_path, monkeypatch, capsys):
     arguments = ["go1", "--robot-xml=heavy.xml", "--out=policy.npz"]
     assert status(export_command.main, *arguments) == 0
     assert policy_file.load(Path("policy.npz")).mjcf == HEAVY
-    capsys.readouterr()
+    said = "policy.npz is now that of heavy.xml, no longer that of its training\n"
+    assert f"note: the robot in {said}" in capsys.readouterr().out
     Path("none.xml").write_text("<mujoco/>")
     line = mistake(export_command.main, ["go1", "--robot-xml=none.xml", "--out=b.npz"], capsys)
     assert "--robot-xml=none.xml: 2 faults: (1) expected a free joint on the base" in line
@@ -272,3 +273,12 @@ def test_a_relative_path_is_told_as_it_was_given():
         path = Path(what) / "policy.npz"
         assert policy_source.named(what, path) == f"{what}/policy.npz"
     assert policy_source.named("/a/b/c", Path("/a/b/c/policy.npz")) == "c/policy.npz"
+
+
+def test_a_file_of_terms_that_is_not_there_is_told_by_its_flag(tmp_path):
+    save(tmp_path / "a.npz")
+    policy = policy_file.load(tmp_path / "a.npz")
+    task = policy.config["task"] | {"terms_hash": "a"}
+    policy = policy._replace(config=policy.config | {"task": task})
+    line = refused(policy_source.with_terms, policy, Path("no.py"))
+    assert line == "--terms=no.py: no such file"
