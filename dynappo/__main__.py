@@ -2,7 +2,7 @@
 
 import sys
 
-from dynappo.config import flags
+from dynappo.config import flags, versions
 
 COMMANDS = {
     "train": "train a robot, or resume a run",
@@ -28,6 +28,8 @@ def main() -> None:
     def choose():
         if name in ("--help", "-h"):
             print(USAGE.format(commands="\n".join(f"  {n:9} {t}" for n, t in COMMANDS.items())))
+        elif name == "--version":
+            print(f"dynappo {versions.of('dynappo')}")
         elif name in COMMANDS:
             found.append(name)
         else:

@@ -6,6 +6,7 @@ import pytest
 from answers import ROOT, shell
 
 from dynappo import __main__ as entry
+from dynappo.config import versions
 
 
 def test_a_command_is_given_the_rest_of_the_line(tmp_path):
@@ -24,6 +25,11 @@ def test_without_a_command_it_lists_them(argument):
     assert done.returncode == 0 and done.stderr == ""
     for name in entry.COMMANDS:
         assert f"\n  {name} " in done.stdout
+
+
+def test_it_tells_its_version():
+    done = shell("-m", "dynappo", "--version")
+    assert done.returncode == 0 and done.stdout == f"dynappo {versions.of('dynappo')}\n"
 
 
 def test_the_commands_are_the_folders_with_one():

@@ -91,8 +91,14 @@ def read(of: argparse.ArgumentParser, argv: list[str] | None) -> argparse.Namesp
     """The flags; ConfigError also where there are others."""
     flags, rest = read_known(of, argv)
     if rest:
+        if not (meant := _meant(of, rest[0])) and not rest[0].startswith("-"):
+            # a second policy, or the value of a flag that has none
+            if "NAME_OR_DIR" in of.format_usage():
+                raise ConfigError(
+                    f"{rest[0]}: expected one NAME_OR_DIR, and flags that begin with --"
+                )
         of_all = f"python -m {of.prog.replace(' ', '.')} --help lists them"
-        raise ConfigError(f"{rest[0]}: no such flag; {_meant(of, rest[0]) or of_all}")
+        raise ConfigError(f"{rest[0]}: no such flag; {meant or of_all}")
     return flags
 
 

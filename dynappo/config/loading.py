@@ -8,9 +8,11 @@ is imported.
 from __future__ import annotations
 
 import ast
+import difflib
 import functools
 import json
 import pathlib
+import re
 import runpy
 from collections.abc import Callable
 from typing import Any
@@ -107,15 +109,25 @@ def load_both(
 
 def _near(name: str, variant: str, flag: str) -> str:
     """Words on the config that is meant by the `name` of none; else on which there are."""
-    if not name.isidentifier():
+    if not re.fullmatch(r"[A-Za-z_][\w-]*", name):
         return ""
     robots = [robot for robot in files.robots() if find("configs", f"{robot}.py")]
     every = robots + [f"{package}:{one}" for package, names in OF_PACKAGES.items() for one in names]
     for spec in every:
         if spec.rpartition(":")[2].lower() == name.lower():
-            meant = f"{spec}:{variant}".rstrip(":")
-            return f"; did you mean {f'{flag}={meant}'.lstrip('=')}?"
+            return _did_you_mean(f"{spec}:{variant}".rstrip(":"), flag)
+    # the policy go1_deploy, as `play` names it, is of go1:deploy
+    kinds = {f"{robot}_{kind}": f"{robot}:{kind}" for robot in robots for kind in files.MORE}
+    known = {name: name for name in robots} | {n: kinds[n] for n in files.bundled() if n in kinds}
+    plain = name.lower().replace("-", "_")
+    if near := difflib.get_close_matches(plain, known, 1, 0.75):
+        spec = known[near[0]]
+        return _did_you_mean(spec if ":" in spec else f"{spec}:{variant}".rstrip(":"), flag)
     return f"; robots that have one are {', '.join(robots)}"
+
+
+def _did_you_mean(spec: str, flag: str) -> str:
+    return f"; did you mean {f'{flag}={spec}'.lstrip('=')}?"
 
 
 def _cannot_be_run(error: BaseException) -> str:

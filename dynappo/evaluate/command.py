@@ -171,7 +171,8 @@ def _check_record(flags) -> None:
     if others or flags.record.suffix != ".npz":
         found = f"--{others[0]} beside it" if others else f"--record={flags.record}"
         raise ConfigError(
-            f"{found}: expected --record=FILE.npz, with --seconds, --noise and --seed alone"
+            f"{found}: expected --record=FILE.npz, with --seconds, --noise, --seed, --run-seed and "
+            "--robot-xml alone"
         )
     if flags.record.exists():  # a robot's own log cannot be had again
         raise ConfigError(f"--record={flags.record}: is there already; name a new file, or move it")

@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import difflib
 import json
 import os
+import re
 from pathlib import Path
 from typing import Any
 
@@ -53,10 +55,7 @@ def locate(text: str, seed: int | None = None) -> Path:
             )
         return path
     if not os.path.isdir(path):
-        raise ConfigError(
-            f"{text}: no such file or folder; expected a workdir, a checkpoint, a policy.npz or one "
-            f"of {', '.join(files.bundled())}"
-        )
+        raise ConfigError(f"{text}: no such file or folder; {expected(text)}")
     if (path / checkpoint_file.STATE).is_dir():
         return path
     if seed is None and (path / "policy.npz").is_file():
@@ -84,6 +83,14 @@ def _check_no_sweep(text: str, path: Path, seed: int | None) -> None:
         f"name one of its runs, such as {such}" if such else "none of its runs has a checkpoint yet"
     )
     raise ConfigError(f"{text}: is a sweep, which {lacks}; {then}")
+
+
+def expected(text: str) -> str:
+    """Words on the bundled policy whose name is near `text`, which is none; else on all that can be named."""
+    name = re.sub("[:-]", "_", text.lower())  # train's go1:deploy, too
+    if near := difflib.get_close_matches(name, files.bundled(), 1, 0.75):
+        return f"did you mean {near[0]}?"
+    return f"expected a workdir, a checkpoint, a policy.npz or one of {', '.join(files.bundled())}"
 
 
 def load(text: str, seed: int | None = None) -> tuple[Policy, Path]:
@@ -267,7 +274,13 @@ def ground_or_own(policy: Policy, text: str | None) -> tuple[HeightMap | None, s
             field, text = render.filmed(own), own.map or "{}:{}".format(*render.FILMED)
         except ConfigError as error:  # a map that is not on this machine
             raise ConfigError(f"{error}; --ground={FLOOR} takes a floor") from None
-    return field, f", on {Path(text).name}" if text and field is not None else ""
+    if not text or field is None:
+        return field, ""
+    size = ""
+    if text.lower().endswith(map_file.SUFFIXES):
+        x, y = (field.cell * (count - 1) for count in field.heights.shape)
+        size = f" ({x:.3g} x {y:.3g} m, cells of {field.cell:g} m)"
+    return field, f", on {Path(text).name}{size}"
 
 
 def tiles(policy: Policy) -> Any:

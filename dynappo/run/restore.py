@@ -226,10 +226,7 @@ def saved(folder: Path) -> list[int]:
     """Iterations of the checkpoints of another run, newest first; ConfigError if there is none."""
     if not (folder / "checkpoints").is_dir():
         lacks = "no checkpoints/ there" if folder.exists() else "no such file or folder"
-        raise ConfigError(
-            f"--restore={folder}: {lacks}; expected a workdir, a checkpoint, a policy.npz or one of "
-            f"{', '.join(files.bundled())}"
-        )
+        raise ConfigError(f"--restore={folder}: {lacks}; {policy_source.expected(str(folder))}")
     found = checkpoint_file.iterations(folder / "checkpoints")
     if not found:
         raise ConfigError(

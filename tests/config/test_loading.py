@@ -127,6 +127,9 @@ def test_a_file_that_get_env_imports_and_that_is_no_python_is_one_line(tmp_path,
         ("ant", "configs; did you mean brax:ant?"),
         ("Go1", "configs; did you mean go1?"),
         ("G1:laptop", "did you mean g1:laptop?"),
+        ("goo2:laptop", "did you mean go2:laptop?"),
+        ("go1_deploy", "did you mean go1:deploy?"),  # as play names its policy
+        ("go1-dploy", "did you mean go1:deploy?"),
         (
             "configs/go1.py:dyna3",
             "configs/go1.py:dyna3: variant 'dyna3' is not one of ppo12, ppo16, dyna2",

@@ -2,6 +2,7 @@
 
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pages
@@ -10,7 +11,7 @@ from answers import mistake, refused, shell, status
 from toy_policy import other_file, save
 
 from dynappo.play import command as play_command
-from dynappo.play import command_script
+from dynappo.play import command_script, task_episode
 from dynappo.policy import episode, policy_file, policy_source, render
 
 
@@ -201,6 +202,7 @@ MISTAKES = {  # flags, what the line must say
     "nothing": ([], "nothing to play; name a workdir"),
     "unknown": (["wlk"], "wlk: no such file or folder; expected a workdir"),
     "unknown flag": (["go1", "--speed=3"], "--speed=3: no such flag"),
+    "two policies": (["go1", "go2"], "go2: expected one NAME_OR_DIR, and flags"),
     "policy": (["go1", "--policy=best"], "--policy='best': expected zero or random"),
     "seed": (["go1", "--policy=random", "--seed=one"], "--seed='one': expected an integer"),
     "seed of a policy": (["go1", "--seed=7", "--out=a.html"], "--seed=7: is for --policy=random"),
@@ -292,3 +294,11 @@ def test_help_explains_what_can_be_played(capsys):
     text = capsys.readouterr().out
     words = "--robot-xml policy.npz t,vx,vy,wz .html --policy=random".split()
     assert all(word in text for word in [*words, "space: stop"])
+
+
+def test_a_task_without_a_command_refuses_one_before_its_process_starts(monkeypatch):
+    monkeypatch.setattr(task_episode.task_player, "check", lambda env: None)
+    policy = SimpleNamespace(config=SimpleNamespace(env="brax:hopper"))
+    flags = SimpleNamespace(serve=None, out=Path("a.html"), command="0.5,0,0")
+    line = refused(task_episode.check, policy, flags)
+    assert line == "--command: brax:hopper has no command to follow"

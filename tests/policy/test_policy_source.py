@@ -18,6 +18,7 @@ from dynappo.evaluate import command as evaluate_command
 from dynappo.export import command as export_command
 from dynappo.play import command as play_command
 from dynappo.policy import episode, policy_file, policy_source
+from dynappo.run import restore
 from dynappo.sweeps import folder as sweep_folder
 
 TEXT = GO1.xml.read_text()
@@ -242,8 +243,9 @@ def test_names_files_and_folders_are_told_apart(tmp_path, monkeypatch):
     (checkpoint / "state").mkdir(parents=True)
     shutil.copy(saved, checkpoint)
     assert policy_source.locate(str(checkpoint)) == checkpoint
-    line = refused(policy_source.locate, "sptt")
-    assert line.startswith("sptt: no such file or folder") and "go2_rough, spot" in line
+    assert refused(policy_source.locate, "sptt").endswith("; did you mean spot?")
+    line = refused(policy_source.locate, "wlk")
+    assert line.startswith("wlk: no such file or folder") and "go2_rough, spot" in line
 
 
 @pytest.mark.parametrize("ended", [False, True])
@@ -282,3 +284,11 @@ def test_a_file_of_terms_that_is_not_there_is_told_by_its_flag(tmp_path):
     policy = policy._replace(config=policy.config | {"task": task})
     line = refused(policy_source.with_terms, policy, Path("no.py"))
     assert line == "--terms=no.py: no such file"
+
+
+@pytest.mark.parametrize("text", ["go1_dploy", "GO1_deploy", "go1:deploy", "go1-deploy"])
+def test_a_name_near_that_of_a_policy_is_told(tmp_path, monkeypatch, text):
+    monkeypatch.chdir(tmp_path)
+    assert refused(policy_source.locate, text).endswith("; did you mean go1_deploy?")
+    line = refused(restore.saved, Path(text))
+    assert line == f"--restore={text}: no such file or folder; did you mean go1_deploy?"

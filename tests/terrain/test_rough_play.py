@@ -256,7 +256,8 @@ def test_the_live_page_takes_the_ground_of_the_training(written, tmp_path):
     own = task["tiles"] | {"map": file, "map_hash": map_file.digest(file)}
     mine = policy._replace(config=policy.config | {"task": task | {"tiles": own}})
     field, on = policies.ground(mine, None)
-    assert field.heights.shape == (30, 30) and on == ", on own.npy"
+    assert field.heights.shape == (30, 30)
+    assert on == ", on own.npy (1.45 x 1.45 m, cells of 0.05 m)"
     assert policies.ground(mine, "boxes:1")[1] == ", on boxes:1"
     flat = policy._replace(config=policy.config | {"task": task | {"terrain": "flat"}})
     assert policies.ground(flat, None) == (None, "")
