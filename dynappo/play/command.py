@@ -211,6 +211,15 @@ def _other(flags) -> tuple[Other, str] | None:
     return policy, named
 
 
+def on_its_floor(policy: Policy, flags) -> str:
+    """A line where a policy of rough ground walks on the floor of `--robot-xml`; else ""."""
+    rough = policy.config.get("task", {}).get("terrain") == "rough"
+    if not rough or not flags.robot_xml or flags.ground:
+        return ""
+    told = f"note: trained on rough ground, here it is on the floor of {flags.robot_xml}"
+    return f"{told}; --ground takes another"
+
+
 def run(flags) -> None:
     """Play as the flags say, and print the measures."""
     out = flags.out
@@ -237,7 +246,7 @@ def run(flags) -> None:
         viewer.check_display()
         if flags.command is None:  # to be steered from standing
             commands = commands._replace(at=lambda t: np.zeros(3), text=viewer.KEYS)
-    notes = [other, command_script.outside(ranges, commands)]
+    notes = [on_its_floor(policy, flags), other, command_script.outside(ranges, commands)]
     print(shell.pasted(f"dynappo plays {policy.robot}: {acts}{on}; {commands.text}"))
     if flags.robot_xml:
         ms = player.model.opt.timestep * 1e3

@@ -320,11 +320,13 @@ def load_actor(path: str | Path) -> Callable[[np.ndarray], np.ndarray]:
     """`act(obs [..., O]) -> mean action [..., A]` of any `policy.npz`, also of your own
     environment.
 
-    `path` may be the name of a bundled policy, as "go1". NumPy only. ConfigError if the file is not a
-    policy.npz, or is damaged; `act` raises ValueError for other than O numbers.
+    `path` may be the name of a bundled policy, as "go1", or a workdir. NumPy only. ConfigError if the file is
+    not a policy.npz, or is damaged; `act` raises ValueError for other than O numbers.
     """
     if not Path(path).exists() and str(path) in files.bundled():
         path = bundled(str(path))
+    if Path(path).is_dir():
+        path = Path(path) / "policy.npz"
     arrays = _arrays(Path(path))
     try:
         activation = json.loads(str(arrays.pop("about")))["config"]["ppo"]["activation"]

@@ -65,7 +65,9 @@ def locate(text: str, seed: int | None = None) -> Path:
     saved = checkpoint_file.iterations(folder)
     if not saved:
         lacks = "neither a policy.npz nor checkpoints/" if seed is None else "no checkpoints/"
-        raise ConfigError(f"{text}: holds {lacks}")
+        runs = [run.parent for run in sorted(path.glob("*/config.json"))]
+        then = f"; name one of the runs in it: {mjcf.listed(runs)}" if runs else ""
+        raise ConfigError(f"{text}: holds {lacks}{then}")
     return folder / str(saved[0])
 
 

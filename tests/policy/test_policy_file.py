@@ -302,6 +302,8 @@ def test_a_policy_without_a_robot_keeps_its_networks_and_its_config(policy, tmp_
     act = policy_file.load_actor(path)
     one = policy_file.actor(policy.params, "tanh")(np.ones(48))
     np.testing.assert_array_equal(act(np.ones(48)), one)
+    of_workdir = policy_file.load_actor(tmp_path)
+    np.testing.assert_array_equal(of_workdir(np.ones(48)), one)
     assert "which is not a robot of dynappo's" in refused(policy_file.load, path)
 
 

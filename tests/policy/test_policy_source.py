@@ -244,6 +244,11 @@ def test_names_files_and_folders_are_told_apart(tmp_path, monkeypatch):
     shutil.copy(saved, checkpoint)
     assert policy_source.locate(str(checkpoint)) == checkpoint
     assert refused(policy_source.locate, "sptt").endswith("; did you mean spot?")
+    Path("runs/b").mkdir(parents=True)
+    Path("runs/b/config.json").touch()
+    line = refused(policy_source.locate, "runs")
+    told = "runs: holds neither a policy.npz nor checkpoints/; name one of the runs in it: runs/b"
+    assert line == told.replace("runs/b", str(Path("runs/b")))
     line = refused(policy_source.locate, "wlk")
     assert line.startswith("wlk: no such file or folder") and "go2_rough, spot" in line
 

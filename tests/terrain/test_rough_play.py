@@ -221,7 +221,7 @@ def test_play_puts_a_robot_on_a_tile(written, tmp_path, capsys):
     xml = f"--robot-xml={robot_lib.load('go2').xml}"
     assert status(play_command.main, *play, xml) == 0
     assert '"heights"' not in (tmp_path / "own.html").read_text()
-    capsys.readouterr()
+    assert "note: trained on rough ground, here it is on the floor of " in capsys.readouterr().out
     for ground in ("lava", "none.png"):  # before a server starts
         serve = [str(written), "--serve", f"--ground={ground}", "--seconds=0.1"]
         said = mistake(play_command.main, serve, capsys)
