@@ -130,6 +130,7 @@ def run(flags) -> None:
             f"those of {robot.xml} are {', '.join(robot.joint_names)}"
         )
     names, order = joint_order.parse(flags.joint_order, policy.joint_names, robot)
+    carried = policy.mjcf
     policy = joint_order.permute(policy, names)._replace(mjcf=robot.alone)
     if flags.out.suffix == ".xml":
         save_robot(robot, flags.out)
@@ -140,7 +141,7 @@ def run(flags) -> None:
     print(shell.pasted(f"dynappo exports {policy.robot}: {named}"))
     if flags.robot_xml and not same_pose(policy, robot):
         note = f"note: the default pose of {robot.xml} is another; the policy keeps its own"
-    if flags.robot_xml and flags.out.suffix == ".npz":
+    if flags.robot_xml and flags.out.suffix == ".npz" and carried != robot.alone:
         text = (
             f"the robot in {flags.out} is now that of {robot.xml}, no longer that of its training"
         )
