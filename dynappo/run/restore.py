@@ -17,6 +17,7 @@ from dynappo.config import ConfigError, files, shell
 from dynappo.policy import checkpoint_file, checks, policy_file, policy_source
 from dynappo.program import distributed
 from dynappo.run import workdir as workdir_lib
+from dynappo.tasks.velocity import observe
 
 # fields without which a policy's observations and actions mean something else, though their numbers fit
 MEANING = (
@@ -31,9 +32,20 @@ def start_from(
     """The first state of a run of `config`, with the networks of another run (`weights`); not yet placed on
     devices.
 
-    `workdir/restored_from` then also names the checkpoint that was taken.
+    `workdir/restored_from` then also names the checkpoint; it is removed where they do not fit.
     """
-    taken, state = distributed.from_first(lambda like: weights(folder, config, like, say), state)
+
+    def read(like):
+        try:
+            return weights(folder, config, like, say)
+        except ConfigError:
+            if not workdir_lib.begun(
+                workdir
+            ):  # else the command without --restore would try them again
+                (workdir / "restored_from").unlink(missing_ok=True)
+            raise
+
+    taken, state = distributed.from_first(read, state)
     if distributed.first():
         say(f"starts from {folder}, {taken}")
         files.write_text(workdir / "restored_from", f"{folder.resolve()}\n{taken}\n")
@@ -134,7 +146,12 @@ def check(source: Path, config) -> None:
     To be called before anything is compiled, written or moved; `weights` checks the arrays themselves.
     """
     here, (there, robot) = config_lib.flat(config), about(source)
+    if misfit := _of_another_body(there, robot, config):  # first: setting sizes would not help
+        raise ConfigError(f"{named(source)}: {misfit}")
     names = ["ppo.hidden", "ppo.activation"]
+    clock = "task.gait_frequency"  # with one, a policy also sees its phase
+    if config.robot and clock in there and (there[clock] is None) != (here[clock] is None):
+        names = [clock, *names]
     if config.robot:  # each of these makes an observation longer or shorter
         names = ["task.scan", "task.observation", "task.history", *names]
         there = {"task.scan": "none"} | there  # older runs have no such field
@@ -163,14 +180,53 @@ def check(source: Path, config) -> None:
             f"{named(source)}: {name} is {there[name]} there, {here[name]} here; set what that run has: "
             + " ".join(_flag(name, there[name]) for name in apart)
         )
+
+
+def _of_another_body(there: dict[str, Any], robot, config) -> str:
+    """Why a policy of the config `there`, for `robot`, cannot act or see as one of `config`, whatever the
+    sizes of its networks; "" if it can."""
     own = policy_source.of_name(config.robot)
-    if robot and own and robot.joint_names != own.joint_names:
-        if sorted(robot.joint_names) == sorted(own.joint_names):
-            raise ConfigError(
-                f"{named(source)}: its joints are {' '.join(robot.joint_names)}, expected the order of "
-                f"{config.robot}, {' '.join(own.joint_names)}; dynappo export with --joint-order=mjcf writes "
-                "a policy.npz in this one"
-            )
+    if not robot or not own:
+        return ""
+    names, ours = robot.joint_names, own.joint_names
+    if len(names) != len(ours):
+        before = there.get("robot") or "its robot"
+        return (
+            f"{before} has {len(names)} joints, {config.robot} {len(ours)}, and a policy moves as many as it "
+            f"was trained with; name a policy of {config.robot}"
+        )
+    if names != ours and sorted(names) == sorted(ours):
+        return (
+            f"its joints are {' '.join(names)}, expected the order of {config.robot}, {' '.join(ours)}; "
+            "dynappo export with --joint-order=mjcf writes a policy.npz in this one"
+        )
+    if there.get("task.scan", "none") != "none" and config.task.terrain == "flat":
+        return (
+            "its policy sees a scan of rough ground, task.terrain is flat here; try "
+            f"--config={config.robot}:rough"
+        )
+    sees, seen = (
+        _own_sizes(x.get("task.terms_about", "")) for x in (there, config_lib.flat(config))
+    )
+    if [*sees.values()] != [*seen.values()]:
+        file = there.get("task.terms", "")
+        then = f"name them: --terms={file}" if sees and file else "leave --terms out"
+        return (
+            f"its policy sees {_told(sees)} of terms of one's own, here {_told(seen)}; {then}, or start "
+            "without --restore"
+        )
+    return ""
+
+
+def _own_sizes(about: str) -> dict[str, int | None]:
+    """The quantities of one's own that a policy sees, with their sizes."""
+    with contextlib.suppress(ValueError):
+        return {one.name: one.quantity.size for one in observe.own(about or "") if one.shown}
+    return {}
+
+
+def _told(sizes: dict[str, int | None]) -> str:
+    return ", ".join(f"{name} [{size or 'joints'}]" for name, size in sizes.items()) or "nothing"
 
 
 def named(source: Path) -> str:
@@ -225,8 +281,22 @@ def apart(source: Path, config) -> str:
 def saved(folder: Path) -> list[int]:
     """Iterations of the checkpoints of another run, newest first; ConfigError if there is none."""
     if not (folder / "checkpoints").is_dir():
+        if (folder / "sweep.json").is_file():
+            runs = sorted(path.parent for path in folder.glob("*/checkpoints"))
+            such = f", such as {runs[0]}" if runs else ""
+            best = folder / "policy.npz"
+            raise ConfigError(
+                f"--restore={folder}: a sweep; name one of its runs{such}"
+                + f", or its best policy, {best}" * best.is_file()
+            )
         lacks = "no checkpoints/ there" if folder.exists() else "no such file or folder"
-        raise ConfigError(f"--restore={folder}: {lacks}; {policy_source.expected(str(folder))}")
+        name = str(folder)
+        if name in files.bundled():  # a Path has lost the ./ that told it from the bundled one
+            raise ConfigError(
+                f"--restore=./{name}: {lacks}; expected a workdir or a checkpoint; --restore={name}, without "
+                "./, is the bundled policy"
+            )
+        raise ConfigError(f"--restore={folder}: {lacks}; {policy_source.expected(name)}")
     found = checkpoint_file.iterations(folder / "checkpoints")
     if not found:
         raise ConfigError(

@@ -228,12 +228,12 @@ def _resumed(
 
     checkpoints, sinks, writes = None, [], distributed.first()  # of several processes, only one
     made = workdir_lib.origins(workdir, workdir_lib.made_by(program, config)) if writes else ()
-    if writes:
-        checkpoints = files.enter_context(checkpoint.opened(workdir, say))
-    if run.source:
+    if run.source:  # before anything else is in a new folder: it is removed where they do not fit
         state = restore.start_from(run.source, config, state, workdir, say)
         if writes and (text := restore.apart(run.source, config)):
             say(text)
+    if writes:
+        checkpoints = files.enter_context(checkpoint.opened(workdir, say))
     start, state, history = workdir_lib.resume(config, workdir, checkpoints, state, say, made)
     if writes:
         sinks = files.enter_context(log.opened(config, workdir, start, say))

@@ -1,5 +1,6 @@
 """`--restore`: a run that starts from the networks of another, in whose folder nothing is changed."""
 
+import json
 import pathlib
 import shlex
 import shutil
@@ -14,7 +15,9 @@ from ml_collections import ConfigDict
 from toy_runs import assert_same
 
 from dynappo import config as config_lib
+from dynappo.config import ConfigError
 from dynappo.config import flags as flags_lib
+from dynappo.description import robot as robot_lib
 from dynappo.learner import ppo
 from dynappo.policy import checkpoint_file, policy_file
 from dynappo.program import build
@@ -183,6 +186,82 @@ def test_networks_of_another_size_are_refused_before_anything_is_done(whole, con
     same = ConfigDict(workdirs.config(**fields).to_dict())
     flags_lib.set_fields(same, flags)
     restore.check(whole.workdir, same)
+
+
+OTHER_BODIES = {  # the bundled policy, the config, what the line says: no advice on sizes
+    (
+        "g1",
+        "go1:laptop",
+    ): "g1 has 29 joints, go1 12, and a policy moves as many as it was trained with; name",
+    (
+        "go1_rough",
+        "go1:laptop",
+    ): "its policy sees a scan of rough ground, task.terrain is flat here; try --config=go1:rough",
+}
+
+
+@pytest.mark.parametrize("names", OTHER_BODIES)
+def test_a_policy_of_another_body_is_refused_whatever_its_sizes(names):
+    """The number of joints, and what only rough ground has, come before the sizes of networks."""
+    name, spec = names
+    line = refused(restore.check, policy_file.bundled(name), config_lib.load(spec))
+    assert line.startswith(f"--restore={name}: {OTHER_BODIES[names]}") and "set what" not in line
+
+
+def test_a_policy_that_sees_terms_of_ones_own_is_refused_without_them(monkeypatch):
+    """Before anything is compiled, with what to name; and the other way round."""
+    one = {"name": "base_height", "size": 3, "signs": None, "order": None, "scale": 1.0}
+    one |= {"unit": "m", "content": "", "noisy": False, "known": True, "shown": True}
+    with_terms = {"task.terms": "A.py", "task.terms_about": json.dumps({"observation": [one]})}
+    robot, config = robot_lib.load("go1"), config_lib.load("go1:laptop")
+    there = config_lib.flat(config)
+    monkeypatch.setattr(restore, "about", lambda source: (there | with_terms, robot))
+    line = refused(restore.check, pathlib.Path("run"), config)
+    assert (
+        "its policy sees base_height [3] of terms of one's own, here nothing; name them: --terms=A.py"
+        in line
+    )
+    monkeypatch.setattr(restore, "about", lambda source: (there, robot))
+    restore.check(pathlib.Path("run"), config)
+    config.task.update(terms="A.py", terms_about=with_terms["task.terms_about"])
+    assert "sees nothing of terms" in refused(restore.check, pathlib.Path("run"), config)
+
+
+def test_networks_that_do_not_fit_leave_nothing_behind(
+    program, whole, config, tmp_path, monkeypatch
+):
+    """Else the command without --restore would start from the same ones, and be refused too."""
+    monkeypatch.setattr(build, "program", lambda *_, **__: program())
+
+    def misfit(*_):
+        raise ConfigError("no fit")
+
+    monkeypatch.setattr(restore, "weights", misfit)
+    workdir = tmp_path / "run"
+    new = training.Run(config, workdir, source=whole.workdir)
+    assert refused(training.train_together, [new]) == "no fit"
+    assert not workdir.exists()
+    workdir.mkdir()
+    (workdir / "notes").touch()
+    assert refused(training.train_together, [new]) == "no fit"
+    assert restore.source(workdir, None) is None
+
+
+def test_what_is_no_run_says_what_is_meant(tmp_path, monkeypatch):
+    """A folder with the name of a bundled policy, and a sweep."""
+    monkeypatch.chdir(tmp_path)
+    line = refused(restore.saved, pathlib.Path("./go1"))
+    assert line.startswith(
+        "--restore=./go1: no such file or folder; expected a workdir or a checkpoint; "
+    )
+    assert "--restore=go1, without ./, is the bundled policy" in line
+    folder = tmp_path / "sw"
+    (folder / "a=1" / "checkpoints").mkdir(parents=True)
+    (folder / "sweep.json").touch()
+    line = refused(restore.saved, folder)
+    assert line == f"--restore={folder}: a sweep; name one of its runs, such as {folder / 'a=1'}"
+    (folder / "policy.npz").touch()
+    assert refused(restore.saved, folder).endswith(f", or its best policy, {folder / 'policy.npz'}")
 
 
 def test_a_bundled_policy_of_another_task_says_which_flags_it_needs(tmp_path):
