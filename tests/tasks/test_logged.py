@@ -292,6 +292,7 @@ def test_joints_and_feet_may_have_another_order(write, walked):
         joint_names=[names[i] for i in order],
         default_pose=player.policy.default_pose[order].tolist(),
         foot_names=[player.foot_names[i] for i in feet],
+        robot=None,  # the text need not name it
     )
     moved = {n: arrays[n][:, order] for n in ("joint_position", "joint_velocity", "action")}
     found = log_file.load(write(about, **moved, contact=arrays["contact"][:, feet]), robot, config)
@@ -311,6 +312,17 @@ REFUSED = {  # entries of `about`, what becomes of the arrays, what the line mus
         {},
         "its joint_names have too many: x, expected FL_hip",
     ),
+    "robot": (
+        dict(robot="go2"),
+        {},
+        "it is of the robot 'go2', expected go1; train with a --config of that",
+    ),
+    "degrees": (
+        {},
+        dict(joint_position=lambda x: np.rad2deg(x + 1)),
+        "expected -0.863 to 0.863; is it in degrees",
+    ),
+    "upside down": ({}, dict(gravity=lambda x: -x), "expected about -1 of a robot that stands"),
     "no joints": (dict(joint_names=None), {}, "its text `about` lacks joint_names"),
     "period": (dict(control_dt=0.01), {}, "its control_dt is 0.01, expected 0.02 s"),
     "gains": (dict(kp=40.0), {}, "its kp is 40.0, expected 25.0 as in the config"),

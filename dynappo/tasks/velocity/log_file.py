@@ -12,7 +12,7 @@ One entry a control step: the readings before it, and the action that followed f
 | `contact` | [T, F] | True: this foot is on the ground. May be absent |
 
 `about` is a text in JSON with the entries `ABOUT`, as the metadata of an exported policy.onnx has them; with
-`contact` also `foot_names`. Others are not read.
+`contact` also `foot_names`. A `robot` is compared where there is one. Others are not read.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dynappo.config import ConfigError, files
+from dynappo.description import robot as robot_lib
 from dynappo.description.robot import Robot
 from dynappo.tasks.velocity import observe, reward_sum
 from dynappo.terrain import map_file
@@ -41,6 +42,7 @@ OF_CONTACT = {"contact", "touchdown", "last_air_time"}
 MOST_BYTES = 2**31  # of all arrays together
 LEAST = 10.0  # s
 CLOSE = 1e-3  # of numbers that must be the same
+BEYOND = 0.3  # rad that a joint may be beyond its range: encoders are a bit off, stops are soft
 NO_VELOCITY = (
     "; no sensor tells it, so have an estimator of the robot's state log it, or motion capture"
 )
@@ -83,6 +85,12 @@ def load(path: str, robot: Robot, config, digest: str = "") -> Log:
     arrays = _arrays(path, data)
     about = _about(path, arrays)
     dt = config.physics.substeps * config.physics.timestep
+    name = about.get("robot", robot.name)  # joints and gains of two robots may be the same
+    expect(
+        name == robot.name,
+        f"it is of the robot {_said(name)}, expected {robot.name}; train with a --config of that "
+        "one, or correct `robot` in its text `about`",
+    )
     joints = _order(expect, "joint_names", about["joint_names"], robot.joint_names)
     _check_motors(expect, about, joints, robot, config.task)
     found = about["control_dt"]
@@ -117,6 +125,7 @@ def load(path: str, robot: Robot, config, digest: str = "") -> Log:
     readings = {name: np.asarray(arrays[name], np.float32) for name in READINGS}
     for name in ("joint_position", "joint_velocity", "action"):
         readings[name] = readings[name][:, joints]
+    _check_signs(expect, readings, fell, robot)
     contact = arrays["contact"][:, feet] != 0 if "contact" in arrays else None
     return Log(readings, goes_on, fell, contact, dt)
 
@@ -180,6 +189,25 @@ def _check_arrays(expect, arrays: dict[str, np.ndarray], shapes: dict[str, tuple
         bad = np.flatnonzero(~np.isfinite(found.reshape(count, -1)).all(1)).tolist()
         first = f"{len(bad)} of {count} entries, the first is entry {bad[0] if bad else 0}"
         expect(not bad, f"{name} is not finite in {first}; leave these out")
+
+
+def _check_signs(expect, readings: dict[str, np.ndarray], fell: np.ndarray, robot: Robot) -> None:
+    """A robot that walks has its joints where they can be, and is upright, at most entries."""
+    low, high = robot_lib.joint_ranges(robot).T
+    position = readings["joint_position"] + np.asarray(robot.default_pose)
+    inside = ((position > low - BEYOND) & (position < high + BEYOND)).mean(0)
+    worst = int(inside.argmin())
+    found = f"is {np.median(position[:, worst]):g} in the median, expected {low[worst]:g} to {high[worst]:g}"
+    expect(
+        inside[worst] > 0.5,
+        f"joint_position plus default_pose of {robot.joint_names[worst]} {found}; is it in degrees, or of "
+        "another sign or zero?",
+    )
+    up = float(np.median(readings["gravity"][~fell, 2]))
+    expect(
+        up < 0,
+        f"gravity has z = {up:g} in the median, expected about -1 of a robot that stands; its sign?",
+    )
 
 
 def episodes(log: Log) -> list[slice]:
