@@ -30,6 +30,7 @@ FIRST = (
 ).split()
 
 LONGEST = 40  # characters of a number
+RESULTS = "policy.npz", "summary.json", "curves.png", "video.mp4"  # of a run, beside its rows
 SHARED = ("iteration", "sim_steps", "seconds", "n_real", "n_synthetic")
 
 
@@ -253,18 +254,21 @@ def resume_csv(
 
 
 def put_aside(path: Path, say) -> None:
-    """The metrics.csv of a run that has no checkpoint becomes `metrics.csv.old`; `say` reports it."""
-    if path.exists():
-        kept = path.rename(_free(path, "old"))
+    """What a run without a checkpoint has left becomes `metrics.csv.old`, `policy.npz.old`, ...; `say` tells.
+    Its policy may be all that is left of a run whose checkpoints were deleted."""
+    there = [one for name in (path.name, *RESULTS) if (one := path.with_name(name)).exists()]
+    kept = [one.rename(_free(one, "old")).name for one in there]
+    if kept:
         say(
-            f"there is no checkpoint in {path.parent}: it starts anew; the rows there were are {kept}"
+            f"there is no checkpoint in {path.parent}: it starts anew; what was there is now "
+            f"{', '.join(kept)}"
         )
 
 
 def _free(path: Path, word: str) -> Path:
-    """`metrics.csv.WORD`, or with a number where there is one already."""
+    """`PATH.WORD`, or with a number where there is one already."""
     numbers = (f".{n}" if n else "" for n in itertools.count())
-    return next(p for n in numbers if not (p := path.with_suffix(f".csv.{word}{n}")).exists())
+    return next(p for n in numbers if not (p := path.with_name(f"{path.name}.{word}{n}")).exists())
 
 
 def _whole_rows(path: Path) -> tuple[dict[tuple[int, int], dict[str, str]], int]:

@@ -33,7 +33,7 @@ MAY_CHANGE = (
 ).split()
 # what runs write into their folder, `evaluate` too, and what people film or export into it
 WRITTEN = (
-    "config.json* lock metrics.csv* checkpoints damaged-* events* policy.npz* summary.json* curves.png "
+    "config.json* lock metrics.csv* checkpoints damaged-* events* policy.npz* summary.json* curves.png* "
     "video.mp4* nonfinite.* restored_from* wandb* evaluation* *.html *.mp4 *.gif *.png *.onnx"
 ).split()
 # what summary.json needs of every row

@@ -509,20 +509,22 @@ def test_a_disk_that_is_full_or_fails_at_the_first_checkpoint_does_not_end_the_r
         assert "4" in workdirs.steps(tmp_path / f"{i}")
 
 
-def test_the_rows_of_a_run_without_a_checkpoint_are_kept(config, program, whole, tmp_path):
-    """It starts anew, and says so; what it had computed is still there."""
+def test_what_a_run_without_a_checkpoint_has_left_is_kept(config, program, whole, tmp_path):
+    """It starts anew, and says so; its rows, its policy and its results are still there."""
     loop(config, program(), tmp_path)
-    for step in (2, 4):
-        shutil.rmtree(tmp_path / "checkpoints" / f"{step}")
-    for name in ("metrics.csv.old", "metrics.csv.old.1"):
-        there, said = (tmp_path / "metrics.csv").read_bytes(), []
-        loop(config, program(), tmp_path, say=said.append)
-        assert said == [
-            f"there is no checkpoint in {tmp_path}: it starts anew; the rows there were are {tmp_path / name}"
-        ]
-        assert (tmp_path / name).read_bytes() == there and table(tmp_path) == table(whole.workdir)
+    (tmp_path / "summary.json").write_text("{}")
+    for more in ("", ".1"):
         for step in (2, 4):
             shutil.rmtree(tmp_path / "checkpoints" / f"{step}")
+        left = ["metrics.csv", "policy.npz"] + ["summary.json"] * (not more)
+        there, said = [(tmp_path / name).read_bytes() for name in left], []
+        loop(config, program(), tmp_path, say=said.append)
+        kept = [f"{name}.old{more}" for name in left]
+        assert said == [
+            f"there is no checkpoint in {tmp_path}: it starts anew; what was there is now {', '.join(kept)}"
+        ]
+        assert [(tmp_path / name).read_bytes() for name in kept] == there
+        assert table(tmp_path) == table(whole.workdir) and not (tmp_path / "summary.json").exists()
 
 
 def test_checkpoints_that_may_not_be_listed_are_not_taken_for_none(
