@@ -120,6 +120,12 @@ def parse(argv: list[str] | None) -> Command:
         raise config_lib.ConfigError(workdir_lib.no_run(known.workdir))
     else:
         config, get_env = flags.load_both(known.config, rest)
+    if both := swept.keys() & flags.given(rest).keys():
+        field = min(both)
+        raise config_lib.ConfigError(
+            f"--config.{field}={flags.given(rest)[field]}: {field} is swept over {', '.join(swept[field])}; "
+            "expected it in one of them"
+        )
     if known.logs:
         environment.set_log(config, os.path.abspath(known.logs))
     name, _, variant = str(known.config).partition(":")

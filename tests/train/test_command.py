@@ -141,6 +141,22 @@ MISTAKES = {  # flags after the config file, what the line must say
     "wrong value": (["--config.ppo.epochs=2.5"], "ppo.epochs='2.5': expected int"),
     "value missing": (["--config.run.num_iterations"], "run.num_iterations=''"),
     "wrong setting": (["--config.run.num_iterations=0"], "expected 1 to 1,000,000"),
+    "config twice": (
+        ["--config=go2:laptop"],
+        "--config is given twice, as configs/go1.py:dyna4 and as go2:laptop; expected one of them",
+    ),
+    "field twice": (
+        ["--config.run.seed=1", "--config.run.seed", "2"],
+        "--config.run.seed is given twice, as 1 and as 2; expected one of them",
+    ),
+    "terms twice": (
+        ["--terms=A.py", "--config.task.terms=B.py"],
+        "--terms=A.py and --config.task.terms=B.py set one field; expected one of them",
+    ),
+    "swept and set": (
+        ["--sweep=ppo.gamma=0.9,0.95", "--config.ppo.gamma=0.97"],
+        "--config.ppo.gamma=0.97: ppo.gamma is swept over 0.9, 0.95; expected it in one of them",
+    ),
     "unknown flag": (
         ["--learning_rate=3"],
         "--learning_rate=3: no such flag; expected --config.model.learning_rate or "
