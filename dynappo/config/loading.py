@@ -148,7 +148,22 @@ def _run(path: pathlib.Path, variant: str) -> tuple[config_dict.ConfigDict, Any]
         )
     config = config_dict.ConfigDict(config)  # a frozen one can be changed again
     _use_terms(config, path, names)
+    if near := _near_get_env(names):
+        raise ConfigError(
+            f"has a function {near}, but no get_env, so a robot would be trained; did you mean get_env? Else "
+            "give it another name"
+        )
     return config, names.get("get_env")
+
+
+def _near_get_env(names: dict[str, Any]) -> str:
+    """A function that the file itself defines whose name looks like a slip for get_env; "" if it has none."""
+    own = [n for n, x in names.items() if getattr(x, "__module__", "") == names["__name__"]]
+    near = [
+        *difflib.get_close_matches("get_env", own, 1, 0.85),
+        *(n for n in own if n[:7] == "get_env"),
+    ]
+    return near[0] if near and "get_env" not in names else ""
 
 
 def _use_terms(config: config_dict.ConfigDict, path: pathlib.Path, names: dict[str, Any]) -> None:
@@ -254,6 +269,11 @@ def difference(old: str, new: str, except_for=()) -> str:
             return "the file with get_env, or one that it imports, has changed; comments and get_config may"
         if before[name] != after[name] and name in ("task.terms_hash", "task.terms_about"):
             return _terms_apart(before, after)
+        if name == "run.logs_hash" and before[name] and not after[name]:
+            log = before.get("run.logs", "")
+            return f"it learns from the log {log}: give {shell.quoted(f'--logs={log}')}"
+        if name == "run.logs_hash" and after[name] and not before[name]:
+            return "it learns from no log: leave --logs out"
         if before[name] != after[name]:
             there, here = ("none" if each == "" else each for each in (before[name], after[name]))
             return f"{name} {there} there, {here} here"

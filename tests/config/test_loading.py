@@ -9,6 +9,7 @@ from answers import ROOT, refused
 
 from dynappo import config as config_lib
 from dynappo.config import flags, loading
+from dynappo.run import workdir as workdir_lib
 from dynappo.tasks import names
 
 
@@ -113,6 +114,35 @@ def test_a_file_that_get_env_imports_and_that_is_no_python_is_one_line(tmp_path,
         "def get_env(config):\n    import helper\n"
     )
     assert said in refused(config_lib.load, str(tmp_path / "mine.py"))
+
+
+@pytest.mark.parametrize("name", ["get_envv", "get_evn", "getenv", "get_environment"])
+def test_a_slip_in_the_name_of_get_env_trains_no_robot(tmp_path, name):
+    """Without get_env the file is the config of a robot, and would train that; an import may be named so."""
+    path = tmp_path / "mine.py"
+    text = f"import runpy\nd = runpy.run_path({str(ROOT / 'configs' / 'default.py')!r})\n"
+    text += "def get_config(variant=''): return d['defaults']()\nfrom os import getenv\n"
+    path.write_text(text)
+    assert config_lib.load_both(str(path))[1] is None
+    path.write_text(f"{text}def {name}(config): pass\n")
+    line = refused(config_lib.load, str(path))
+    assert (
+        f"mine.py: has a function {name}, but no get_env" in line
+        and "did you mean get_env?" in line
+    )
+    path.write_text(f"{text}def {name}(config): pass\ndef get_env(config): pass\n")
+    assert config_lib.load_both(str(path))[1]
+
+
+def test_a_run_with_a_log_says_which_flag_names_it():
+    """Its hash alone would say nothing to the user."""
+    plain, logged = config_lib.load("go1:logs"), config_lib.load("go1:logs")
+    logged.run.update(logs="/a b/walked.npz", logs_hash="28881d6f")
+    plain, logged = config_lib.to_json(plain), config_lib.to_json(logged)
+    may = workdir_lib.MAY_CHANGE
+    line = config_lib.difference(logged, plain, may)
+    assert line == "it learns from the log /a b/walked.npz: give '--logs=/a b/walked.npz'"
+    assert config_lib.difference(plain, logged, may) == "it learns from no log: leave --logs out"
 
 
 @pytest.mark.parametrize(
