@@ -165,6 +165,7 @@ SIZES = {  # what differs from the run that is there, what the line says
     "value": ({"ppo__critic_hidden": (8,)}, "ppo.critic_hidden is None there, (8,) here"),
     "model": ({"model__hidden": (8, 8)}, "model.hidden is "),
     "falls": ({"model__falls": True}, "model.falls is False there, True here"),
+    "gait": ({"task__gait_frequency": (1.0, 1.5)}, "task.gait_frequency is None there, "),
     "seeds": ({"run__num_seeds": 2}, "run.num_seeds is 1 there, 2 here"),
     "history": ({"task__history": 3}, "task.history is 1 there, 3 here"),
     "scan": (
