@@ -11,6 +11,7 @@ that is known. Older readers take these for parameters that no network asks for,
 
 from __future__ import annotations
 
+import contextlib
 import json
 import reprlib
 from collections.abc import Callable, Mapping
@@ -98,6 +99,13 @@ class Policy(NamedTuple):
     def own(self) -> observe.Own:
         """The quantities of one's own that it was trained with, as its config says (config/terms.py)."""
         return observe.own(self.config.get("task", {}).get("terms_about", ""))
+
+
+def own_sizes(about: str | None) -> dict[str, int | None]:
+    """The quantities of one's own that a policy sees, by a config's `task.terms_about`, with their sizes."""
+    with contextlib.suppress(ValueError):
+        return {one.name: one.quantity.size for one in observe.own(about or "") if one.shown}
+    return {}
 
 
 def describe(config, robot: robot_lib.Robot, params: dict | None = None) -> Policy:

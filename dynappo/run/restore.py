@@ -17,7 +17,6 @@ from dynappo.config import ConfigError, files, shell
 from dynappo.policy import checkpoint_file, checks, policy_file, policy_source
 from dynappo.program import distributed
 from dynappo.run import workdir as workdir_lib
-from dynappo.tasks.velocity import observe
 
 # fields without which a policy's observations and actions mean something else, though their numbers fit
 MEANING = (
@@ -206,7 +205,8 @@ def _of_another_body(there: dict[str, Any], robot, config) -> str:
             f"--config={config.robot}:rough"
         )
     sees, seen = (
-        _own_sizes(x.get("task.terms_about", "")) for x in (there, config_lib.flat(config))
+        policy_file.own_sizes(x.get("task.terms_about", ""))
+        for x in (there, config_lib.flat(config))
     )
     if [*sees.values()] != [*seen.values()]:
         file = there.get("task.terms", "")
@@ -216,13 +216,6 @@ def _of_another_body(there: dict[str, Any], robot, config) -> str:
             "without --restore"
         )
     return ""
-
-
-def _own_sizes(about: str) -> dict[str, int | None]:
-    """The quantities of one's own that a policy sees, with their sizes."""
-    with contextlib.suppress(ValueError):
-        return {one.name: one.quantity.size for one in observe.own(about or "") if one.shown}
-    return {}
 
 
 def _told(sizes: dict[str, int | None]) -> str:
