@@ -16,7 +16,7 @@ from dynappo.config import ConfigError, files
 from dynappo.evaluate import episodes
 from dynappo.policy.policy_file import Other
 from dynappo.program import build, devices
-from dynappo.tasks import by_name
+from dynappo.tasks import by_name, names
 
 TERM = "reward_"  # in front of a metric that is a term of the reward
 # how numbers are printed, in this order
@@ -38,6 +38,7 @@ def check(policy: Other, flags) -> Any:
                 f"--{name}: the policy is of {policy.config.env}, which has its own episodes alone"
             )
     config = policy.config
+    names.check(config.env)  # before anything is read or written
     config.run.update(device="auto", num_seeds=1, mesh_seed=1, mesh_env=1)
     config.physics.impl = "auto"  # it may have been trained on another machine
     config.run.update(eval_envs=flags.episodes or 0, eval_every=0)

@@ -759,7 +759,7 @@ def test_an_exported_policy_takes_the_tasks_observation(tmp_path, capsys, monkey
 def test_an_evaluation_needs_no_flag_and_tells_terms_of_the_reward():
     """Also of a policy that was trained on a GPU, and evaluated every 200 iterations."""
     flags = python_types.SimpleNamespace(
-        episodes=None, stress=False, crossing=False, fast=False, randomize=False
+        episodes=None, record="", stress=False, crossing=False, fast=False, randomize=False
     )
     config = config_lib.load(f"playground:{GO1}:ppo")
     config.physics.impl, config.run.eval_every, config.run.num_seeds = "warp", 200, 4
