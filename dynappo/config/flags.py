@@ -149,8 +149,7 @@ def read_with_fields(
                 f"{flag}={known[flag]} and --config.{field}={of_rest[field]} set one field; expected one of "
                 "them"
             )
-    _check_once(_fields(rest))
-    return flags, rest
+    return flags, rest  # of a field the last flag counts, as scripts that end in "$@" expect
 
 
 def _meant(of: argparse.ArgumentParser, word: str, unnamed: bool = False) -> str:

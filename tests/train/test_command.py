@@ -145,10 +145,6 @@ MISTAKES = {  # flags after the config file, what the line must say
         ["--config=go2:laptop"],
         "--config is given twice, as configs/go1.py:dyna4 and as go2:laptop; expected one of them",
     ),
-    "field twice": (
-        ["--config.run.seed=1", "--config.run.seed", "2"],
-        "--config.run.seed is given twice, as 1 and as 2; expected one of them",
-    ),
     "terms twice": (
         ["--terms=A.py", "--config.task.terms=B.py"],
         "--terms=A.py and --config.task.terms=B.py set one field; expected one of them",
