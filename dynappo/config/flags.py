@@ -9,7 +9,6 @@ import difflib
 import errno
 import importlib
 import io
-import itertools
 import os
 import re
 import reprlib
@@ -17,7 +16,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from dynappo import config as config_lib
@@ -78,13 +77,6 @@ def read_known(
     The rest is for a command that takes fields of the config, too (`set_fields`).
     """
     argv = sys.argv[1:] if argv is None else argv
-    single = {  # those that take one value
-        name
-        for action in of._actions
-        if action.nargs != 0 and not isinstance(action, argparse._AppendAction)
-        for name in action.option_strings
-    }
-    _check_once((flag, text) for flag, text in _flags(argv) if flag in single)
     try:
         flags, rest = of.parse_known_args(argv)
     except argparse.ArgumentError as error:
@@ -94,26 +86,6 @@ def read_known(
         if value == [] or str(value) == "--":  # what argparse makes of `--flag=--`; Python 3.13
             raise ConfigError(f"--{name.replace('_', '-')}: expected a value, not '--'")
     return flags, rest
-
-
-def _flags(argv: list[str]) -> Iterator[tuple[str, str]]:
-    """`(flag, value)` of every flag that argparse may find in `argv`."""
-    for word, following in itertools.zip_longest(argv, argv[1:], fillvalue=""):
-        flag, equals, value = word.partition("=")
-        if word == "--":  # what follows is no flag
-            return
-        if word.startswith("--"):
-            yield flag, value if equals or following.startswith("--") else following
-
-
-def _check_once(pairs: Iterable[tuple[str, str]]) -> None:
-    """ConfigError where a flag has two values: the last would be taken without a word."""
-    found: dict[str, str] = {}
-    for flag, text in pairs:
-        if found.setdefault(flag, text) != text:
-            raise ConfigError(
-                f"{flag} is given twice, as {found[flag]} and as {text}; expected one of them"
-            )
 
 
 def read(of: argparse.ArgumentParser, argv: list[str] | None) -> argparse.Namespace:
@@ -149,7 +121,7 @@ def read_with_fields(
                 f"{flag}={known[flag]} and --config.{field}={of_rest[field]} set one field; expected one of "
                 "them"
             )
-    return flags, rest  # of a field the last flag counts, as scripts that end in "$@" expect
+    return flags, rest  # of a flag given twice the last counts, as scripts that end in "$@" expect
 
 
 def _meant(of: argparse.ArgumentParser, word: str, unnamed: bool = False) -> str:

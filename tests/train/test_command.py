@@ -141,10 +141,6 @@ MISTAKES = {  # flags after the config file, what the line must say
     "wrong value": (["--config.ppo.epochs=2.5"], "ppo.epochs='2.5': expected int"),
     "value missing": (["--config.run.num_iterations"], "run.num_iterations=''"),
     "wrong setting": (["--config.run.num_iterations=0"], "expected 1 to 1,000,000"),
-    "config twice": (
-        ["--config=go2:laptop"],
-        "--config is given twice, as configs/go1.py:dyna4 and as go2:laptop; expected one of them",
-    ),
     "terms twice": (
         ["--terms=A.py", "--config.task.terms=B.py"],
         "--terms=A.py and --config.task.terms=B.py set one field; expected one of them",
