@@ -95,11 +95,13 @@ def test_what_is_said_of_an_interruption_may_depend_on_when_it_is(capsys):
     assert capsys.readouterr().err == "dynappo: stopped at the second iteration\n"
 
 
-def test_a_flag_may_be_given_twice_where_that_means_the_same():
-    """As a script does that adds it to the user's own; --sweep takes several."""
-    argv = [f"--config={GO1}", "--config", GO1, "--fresh", "--fresh", "--config.run.seed=1"]
-    argv += ["--config.run.seed", "1", "--sweep=ppo.gamma=0.9,0.95", "--sweep=ppo.epochs=3,4"]
-    assert len(train.parse(argv).sweep.combinations) == 4  # pyright: ignore[reportOptionalMemberAccess]
+def test_of_a_flag_that_is_given_twice_the_last_counts():
+    """As of a script that ends in "$@"; --sweep takes several."""
+    argv = ["--config=go2:laptop", "--config", GO1, "--fresh", "--fresh", "--config.run.seed=1"]
+    argv += ["--config.run.seed", "2", "--sweep=ppo.gamma=0.9,0.95", "--sweep=ppo.epochs=3,4"]
+    found = train.parse(argv)
+    assert len(found.sweep.combinations) == 4  # pyright: ignore[reportOptionalMemberAccess]
+    assert (found.config.robot, found.config.run.seed) == ("go1", 2)
 
 
 class Dying:
