@@ -418,11 +418,12 @@ def measured():
         runs = table["seeds"](jobs[f"best-{letter}"])
         falls = 100 * np.mean([table["first"](run, level, "fall_rate") for run in runs])
         yield f"{robot} falls, first at {level:g}", f"{falls:.6g}", "%", *rest
-    jobs = table["read"](ROOT / FEW)
+    few = importlib.import_module("experiments.27_few.table")
+    fresh = few.fresh(ROOT / FEW)
     for robot, level in (("go1", 38), ("anymal_c", 24)):
-        job = jobs[f"fresh-late-{ROBOTS[robot]}"]
+        job = fresh[few.ROBOTS[ROBOTS[robot]]]
         steps = f"{np.mean(table['reached'](table['seeds'](job), level).level) / 1e3:.6g}"
-        when = "2026-11-28", "d4ea24ce"
+        when = "2026-11-28 to 29", "d4ea24ce and 60000061"
         yield f"{robot} few, first at {level}", steps, "thousand steps", "H200", *when, FEW
     yield from off_policy()
     yield from humanoid()

@@ -59,6 +59,15 @@ def few_of(batch, name):
     return seeds, table.runs.reached(seeds, table.level_of(seeds[0]))
 
 
+@functools.cache
+def few_fresh(letter):
+    """`few_of` all fresh seeds of today's `few` on a robot."""
+    table = script("27_few/table")
+    rows = table.fresh(EXPERIMENTS / "27_few/results/gpu.csv.xz")[table.ROBOTS[letter]]
+    seeds = table.runs.seeds(rows)
+    return seeds, table.runs.reached(seeds, table.level_of(rows))
+
+
 def cells(line):
     """Of a row of a Markdown table, without bold."""
     return [cell.strip() for cell in line.replace("**", "").strip("| ").split("|")]

@@ -17,9 +17,10 @@ Ideas of other model-based methods (27_few):
 - `stopping`: a fit has `PARTS` parts, and ends with the weights that were best on the new rows of the robots
   that it did not see; with a memory not the remembered ones either
 - `real-again`: PPO learns from the real rows in every round, not in the first alone
-- `spread`: a robot's new command is not drawn at random, but follows its last one, so that those that it
-  hears are spread over all there are (for commands without a heading, and robots that never stand)
-- `recent`: the fit draws a remembered row half as often as one that is `HALF` rows of its robot newer
+
+Two more gained nothing and have left this file (27_few/parts.md): `spread` (a robot's next command was not
+drawn, but at an even distance from its last one) and `recent` (the fit drew a remembered row half as often as
+one 100 rows newer), in commits up to 22eb9acd.
 
 What the paper claims, and others may do (19_collapse/controls.py): `cold`, `unmasked`, `bootstrap-real`,
 `unanchored`, `rebuilt`, `burn4`, `burn16`, `burn64`
@@ -33,23 +34,14 @@ import jax.numpy as jnp
 
 from dynappo import algorithm, fast, rollout
 from dynappo.model import dynamics, errors, memory
-from dynappo.model.examples import Examples
-from dynappo.tasks.velocity import commands
-from dynappo.tasks.velocity import env as env_lib
 
 claims = importlib.import_module("experiments.19_collapse.controls")
 
 MEMBERS, DOUBTFUL, PARTS, UNSEEN = 3, 0.02, 5, 8
-# from a command to the next, in shares of its three ranges: powers of 1 / g with g^4 = g + 1, whose
-# multiples, without their whole parts, fill a cube evenly (Roberts 2018, "R3")
-SPREAD = tuple(1.2207440846057596**-k for k in (1, 2, 3))
-HALF = 100  # rows of a robot: 50 iterations of `few`
 MEMBER = 7  # of a robot's key in a row; `algorithm` and `dynamics` fold 0 to 3
 
 _imagine, _estimate, _presence = algorithm.imagine, algorithm.estimate, algorithm.presence
 _init, _fit, _step, _errors = dynamics.init, fast.fit, fast.step, errors.errors
-_autoreset, _draw = env_lib.autoreset, commands.draw
-before: list = []  # the command of the robot whose reset is traced now
 
 
 def put_in(name: str) -> None:
@@ -160,38 +152,6 @@ def of_the_first_round(*args, rows, real, of_round=0, **given):
     return _estimate(*args, rows=rows.replace(truncation=cut), real=real, of_round=0, **given)
 
 
-def spread_autoreset(const, hyper, body, state, outcome, key):
-    """`env.autoreset`, in which `spread_draw` knows the command that the robot has."""
-    before.append(state.command)
-    try:
-        return _autoreset(const, hyper, body, state, outcome, key)
-    finally:
-        before.pop()
-
-
-def spread_draw(task, hyper, qpos, key, own=None):
-    """`commands.draw`; after a first command the one that follows it."""
-    command, goal = _draw(task, hyper, qpos, key, own)
-    if not before:
-        return command, goal
-    ranges = hyper.task.command_x, hyper.task.command_y, hyper.task.command_yaw
-    low, high = jnp.stack([jnp.stack([*map(jnp.float32, ends)]) for ends in ranges], axis=1)
-    share = ((before[-1] - low) / (high - low) + jnp.array(SPREAD)) % 1
-    return low + (high - low) * share, goal
-
-
-def draw_recent(rows, counts, key, number):
-    """`memory.draw`, in which a row of age `a` (the newest is 1) is drawn with a probability in proportion to
-    `2^(-a / HALF)`: `a` is a uniform number put through the inverse of their sums."""
-    size, robots = rows.weight.shape
-    count = jnp.maximum(counts["memory_count"], 1)
-    share = jax.random.uniform(key, (number, robots)) * (1 - 0.5 ** (count / HALF))
-    age = jnp.clip(jnp.ceil(-HALF * jnp.log2(1 - share)), 1, count).astype(jnp.int32)
-    t = (counts["memory_begin"] + counts["n_real"] - age) % size
-    x, y, weight = (dynamics.pick(a, t) for a in (rows.x, rows.y, rows.weight))
-    return Examples(x=x, y=y, weight=weight, count=jnp.int32(number))
-
-
 def _ensemble(end: bool):
     return [
         (dynamics, "init", inits),
@@ -208,7 +168,5 @@ CONTROLS = {  # name -> what is put where
     "ensemble-end": [*_ensemble(end=True), (algorithm, "presence", presence_to_the_end)],
     "stopping": [(fast, "fit", stopped)],
     "real-again": [(algorithm, "estimate", of_the_first_round)],
-    "spread": [(env_lib, "autoreset", spread_autoreset), (commands, "draw", spread_draw)],
-    "recent": [(memory, "draw", draw_recent)],
     **claims.CONTROLS,
 }

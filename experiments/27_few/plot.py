@@ -15,12 +15,12 @@ from experiments import pictures
 
 table = importlib.import_module("experiments.27_few.table")
 HERE = Path(__file__).parent
-ROBOTS = (  # last letter of a job -> what it is called, colour
-    ("g", "Go1", pictures.BLUE),
-    ("h", "Go2", pictures.SKY),
-    ("c", "ANYmal-C", pictures.VERMILION),
-    ("d", "ANYmal-D", pictures.ORANGE),
-)
+COLOURS = {  # by the last letter of a job
+    "g": pictures.BLUE,
+    "h": pictures.SKY,
+    "c": pictures.VERMILION,
+    "d": pictures.ORANGE,
+}
 IMAGINED = (  # robots for each simulated one -> job, of those with 4 real rows and 16 imagined ones
     (1, "part-imagined-{}"),
     (4, "try-imagined4-{}"),
@@ -33,19 +33,22 @@ SIMULATED = (1, 4, 16, 64, 256, 1024)  # real robots
 
 
 def main():
-    jobs = table.read(HERE / "results" / "gpu.csv.xz")
+    path = HERE / "results" / "gpu.csv.xz"
+    jobs, fresh = table.read(path), table.fresh(path)
     page, axes = pictures.figure(2, 2, 5.6)
     (over_steps, by_imagined), (falls, by_simulated) = axes
-    for letter, robot, colour in ROBOTS:
-        curve(over_steps, jobs[f"fresh-late-{letter}"], robot, colour)
-        curve(falls, jobs[f"fresh-late-{letter}"], robot, colour, falls=True)
+    for letter, robot in table.ROBOTS.items():
+        colour = COLOURS[letter]
+        curve(over_steps, fresh[robot], robot, colour)
+        curve(falls, fresh[robot], robot, colour, falls=True)
         for count, name in IMAGINED:
             if name.format(letter) in jobs:
                 bar(by_imagined, count, jobs[name.format(letter)], colour)
-    for letter, colour, aside in (("g", pictures.BLUE, 0.94), ("c", pictures.VERMILION, 1.06)):
+    for letter, aside in (("g", 0.94), ("c", 1.06)):
         for count in SIMULATED:
-            name = "fresh-late" if count == 64 else f"robots-{count}"
-            bar(by_simulated, aside * count, jobs[f"{name}-{letter}"], colour)
+            name = "default" if count == 256 else f"robots-{count}"
+            job = fresh[table.ROBOTS[letter]] if count == 64 else jobs[f"{name}-{letter}"]
+            bar(by_simulated, aside * count, job, COLOURS[letter])
     bar(by_simulated, 1024, jobs["best-g"], pictures.GREY)
     over_steps.axhline(1, color="0.4", lw=1, ls=":")
     over_steps.set(xlim=(0, 50), ylim=(0, None))

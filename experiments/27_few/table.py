@@ -1,12 +1,14 @@
 """Runs of 21_less/run.py with few robots: the return, with falls, after thousands of simulator steps.
 
     python experiments/27_few/table.py FOLDER_OR_PACKED_FILE [--batch fresh] [--at 10 15 20 27 43]
+    python experiments/27_few/table.py experiments/27_few/results/gpu.csv.xz --fresh
     python experiments/27_few/table.py experiments/27_few/results/seconds.csv.xz --seconds [--pack FOLDER]
 
 A row a job: means over its seeds, between two evaluations on a straight line, empty where runs have ended;
 the first evaluation at the level (ANYmals 24, else 38), mean and last of the seeds that get there, in
 thousands of steps; how many of the seeds walk at the end: from some evaluation on always at the level and
-with falls in at most 1 % of the episodes.
+with falls in at most 1 % of the episodes. `--fresh`: of today's `few`, all seeds that no setting was tuned
+on, a row a robot (`FRESH`).
 
 `--seconds`: of runs of 30_row_cost/run.py, alone on a card, a row a job, by its number of robots, with its
 config where the file has several: thousand steps and seconds to the level, seconds to a walk (mean, last); ms
@@ -31,11 +33,16 @@ from experiments import paper, stats
 runs = importlib.import_module("experiments.21_less.table")
 cost = importlib.import_module("experiments.30_row_cost.table")
 
+# of results/gpu.csv.xz: batches in which today's `few` ran on fresh seeds, and what their jobs are called
+FRESH = ("late", "fresh-late-"), ("more", "more-few-")
+ROBOTS = {"g": "Go1", "h": "Go2", "c": "ANYmal-C", "d": "ANYmal-D"}  # by the last letter of a job
+
 
 def main():
     parser = paper.parser(__doc__)
     parser.add_argument("path", type=Path)
     parser.add_argument("--batch", help="of a packed file, this one alone")
+    parser.add_argument("--fresh", action="store_true", help="of a packed file, today's `few`")
     parser.add_argument("--at", type=float, nargs="+", default=[10.0, 15.0, 20.0, 27.0, 43.0])
     parser.add_argument("--seconds", action="store_true")
     parser.add_argument("--pack", type=Path, metavar="FOLDER", help="with --seconds")
@@ -48,7 +55,7 @@ def main():
         found = alone(args.path)
         print("\n\n".join([seconds(found), *ratios(found)]))
         return
-    print(table(read(args.path, args.batch), args.at))
+    print(table(fresh(args.path) if args.fresh else read(args.path, args.batch), args.at))
 
 
 def read(path: Path, batch: str | None = None) -> dict[str, list[dict]]:
@@ -61,6 +68,15 @@ def read(path: Path, batch: str | None = None) -> dict[str, list[dict]]:
                 known = f"{name} of batch {one}" if name in jobs else name
                 jobs[known] = [row for row in rows if row.get("batch", "") == one]
     return jobs
+
+
+def fresh(path: Path) -> dict[str, list[dict]]:
+    """`robot -> rows` of all fresh seeds of today's `few`, of every batch."""
+    batches = [(read(path, batch), job) for batch, job in FRESH]
+    return {
+        robot: [row for jobs, job in batches for row in jobs[job + letter]]
+        for letter, robot in ROBOTS.items()
+    }
 
 
 def table(jobs: dict[str, list[dict]], at: list[float]) -> str:

@@ -7,18 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import scipy.stats
 import toy_env
 from result_files import script
 from toy_runs import assert_close
 
 from dynappo import algorithm, schedule
-from dynappo import config as config_lib
-from dynappo.config import splitting
-from dynappo.description import robot as robot_lib
-from dynappo.model import dynamics, memory
-from dynappo.tasks.velocity import env as env_lib
-from dynappo.types import Memory, Outcome
+from dynappo.model import dynamics
 
 
 def test_the_simulators_tail_is_what_physics_would_have_written():
@@ -39,88 +33,6 @@ def test_the_simulators_tail_is_what_physics_would_have_written():
     assert abs(model.obs[4] - whole.obs[4]).max() > 1e-3
     with pytest.raises(SystemExit, match="expected one of last, simulator, ensemble"):
         controls.put_in("first")
-
-
-def test_commands_that_are_spread_follow_each_other_and_fill_the_ranges(monkeypatch):
-    """The control `spread`, by the task's own resets: where the shipped reset tells a new command, the last
-    one moved on by the same step, else the same; of 64 each eighth of a range has its share."""
-    controls = script("21_less/controls")
-    settings = config_lib.validate(config_lib.load("configs/go1.py:few"))
-    _, hyper = splitting.split(settings)
-    given = robot_lib.load("go1"), settings.task, settings.physics
-    shipped = env_lib.make(*given)
-    for module, name, other in controls.CONTROLS["spread"]:
-        monkeypatch.setattr(module, name, other)
-    env = env_lib.make(*given)
-    body = env.randomize(hyper, jax.random.key(0))
-    state = env.reset(hyper, body, jax.random.key(1))
-    np.testing.assert_array_equal(
-        state.command, shipped.reset(hyper, body, jax.random.key(1)).command
-    )
-    ends = Outcome(
-        reward=jnp.zeros(()),
-        discount=jnp.ones(()),
-        truncation=jnp.ones(()),
-        next_obs=state.obs,
-        next_prop=state.prop,
-        episode_return=jnp.zeros(()),
-        episode_length=jnp.float32(125),
-    )
-    told, same = [state.command], 0
-    for k in range(8):
-        after, by_chance = (
-            one.autoreset(hyper, body, state, ends, jax.random.key(10 + k))
-            for one in (env, shipped)
-        )
-        if (by_chance.command == state.command).all():
-            np.testing.assert_array_equal(after.command, state.command)
-            same += 1
-        else:
-            step = (np.asarray(state.command) + 1) / 2 + np.array(controls.SPREAD)
-            np.testing.assert_allclose(after.command, 2 * (step % 1) - 1, atol=1e-5)
-            told.append(after.command)
-        state = after
-    assert same and len(told) > 3 and not controls.before
-    every = (0.3 + np.outer(np.arange(64), controls.SPREAD)) % 1
-    counts = [np.histogram(x, 8, (0, 1))[0] for x in every.T]
-    assert all(6 <= n <= 10 for some in counts for n in some)  # 8 each; by chance 3 to 14
-
-
-@pytest.mark.parametrize("begin, count", [(58, 60), (18, 40)])
-def test_remembered_rows_are_drawn_the_more_often_the_newer_they_are(begin, count):
-    """The control `recent`, of a ring of 60 whose rows say their age, full and in part: all else is what the
-    shipped draw gives, and each age comes as often as 2^(-age / HALF) says (chi squared, by NumPy)."""
-    controls = script("21_less/controls")
-    ((module, name, draw),) = controls.CONTROLS["recent"]
-    assert module is memory and name == "draw"
-    size, robots, number = 60, 500, 40
-    counts = {"memory_begin": begin, "memory_count": count, "n_real": 2}
-    place = np.arange(size)
-    age = (begin + 2 - 1 - place) % size + 1  # the newest row is 1
-    age = np.broadcast_to(np.where(age <= count, age, 1000)[:, None], (size, robots))
-    ring = Memory(
-        x=jnp.stack([age, np.broadcast_to(np.arange(robots), age.shape)], -1) * 1.0,
-        y=jnp.asarray(age[..., None] * 2.0),
-        weight=jnp.asarray(age * 3.0),
-        obs=jnp.zeros((size, robots, 1)),
-        prop=jnp.zeros((size, robots, 1)),
-    )
-    found, shipped = (
-        jax.jit(f, static_argnums=3)(ring, counts, jax.random.key(1), number)
-        for f in (draw, memory.draw)
-    )
-    assert jax.tree.map(jnp.shape, found) == jax.tree.map(jnp.shape, shipped)
-    drawn = np.asarray(found.x[..., 0])
-    np.testing.assert_array_equal(found.x[..., 1], shipped.x[..., 1])  # of the robot itself
-    np.testing.assert_array_equal(found.y[..., 0], 2 * drawn)
-    np.testing.assert_array_equal(found.weight, 3 * drawn)
-    ages = np.arange(1, count + 1)
-    expected = 0.5 ** (ages / controls.HALF)
-    counted = [(drawn == a).sum() for a in ages]
-    assert sum(counted) == number * robots
-    expected *= number * robots / expected.sum()
-    assert scipy.stats.chisquare(counted, expected).pvalue > 1e-3
-    assert scipy.stats.chisquare(counted).pvalue < 1e-3  # and not all alike
 
 
 def test_members_of_an_ensemble_write_a_row_each_and_the_most_doubtful_tails_end():
