@@ -334,7 +334,7 @@ def test_the_disturbances_of_the_policies_for_hardware_are_those_of_their_files(
 def test_the_steps_of_the_policies_for_hardware_are_those_of_their_runs():
     table = script("21_less/table")
     jobs = table.read(DEPLOY / "deploy.csv.xz")
-    full = [row for part in tables_of("steps") for row in part]
+    full = [row for part in tables_of("steps")[:2] for row in part]
     short = tables_of("README")[2]
     for label, name in (
         ("Go1, PPO", "go1-ppo"),
@@ -357,6 +357,8 @@ def test_the_steps_of_the_policies_for_hardware_are_those_of_their_runs():
     text = " ".join((DEPLOY / "README.md").read_text().split())
     text_of = "a Go1 is at 30 after {:.1f} M, PPO after {:.0f}."
     assert text_of.format(*map(float, steps)) in text
+    text_of = "a Go1 of `deploy` is at 30 after {:.1f} M steps, PPO after {:.0f}."
+    assert text_of.format(*map(float, steps)) in " ".join((DEPLOY / "steps.md").read_text().split())
     go2 = column({"503": packed("deploy")["1", "go2"]["503"]}, "fall_rate")[0]
     at = column({"503": packed("deploy")["1", "go2"]["503"]}, "iteration")[0]
     assert not go2[(at >= 200) & (at <= 650)].any() and round(100 * go2[-1]) == 21
@@ -657,24 +659,331 @@ def test_slow_commands_that_bundled_policies_follow_are_as_the_pages_say(page):
         assert text == ", ".join(followed_by(name)), name
 
 
+FEWER = {  # jobs of fewer.txt -> their rows on steps.md
+    "deploy": "4096 robots, tails to 150 (`deploy`)",
+    "4096-tails": "4096 robots, to 400",
+    "1024": "1024 robots, to 150",
+    "1024-tails": "1024 robots, to 600",
+    "1024-always": "1024 robots, always",
+}
+MILLIONS = 1.7, 4.3, 10.6  # where their rows have a return
+
+
+@functools.cache
+def fewer(name):
+    """Rows of a job of fewer.txt, and whether it was cut off."""
+    jobs = less("ppo")[0].read(DEPLOY / "fewer.csv.xz")
+    return (jobs[name], False) if name in jobs else (jobs[f"{name}-cut"], True)
+
+
+def fewer_at(name, millions, column="return"):
+    """Of each seed after so many M steps, which the runs have."""
+    job, _ = fewer(name)
+    assert millions * 1e6 <= job[-1]["sim_steps"]
+    return less("ppo")[0].between(job, millions * 1e6, column)
+
+
+def fewer_first(name, level):
+    """M steps of each seed to a return."""
+    return reached_of(fewer(name)[0], level) / 1e6
+
+
+def fewer_end(name):
+    """M steps in all."""
+    return fewer(name)[0][-1]["sim_steps"] / 1e6
+
+
+def test_the_tables_of_fewer_robots_and_longer_tails_are_those_of_their_runs():
+    """Where a job was cut off, a return that not all seeds got to is open, and later cells are empty."""
+    table, asked = less("ppo")[0], paper.jobs(DEPLOY / "fewer.txt")
+    ended = {}
+    for letter, shown in zip("gc", tables_of("steps")[2:4], strict=True):
+        head, *rows = shown
+        assert [row[0] for row in rows] == [
+            f"{label}{', cut off' * fewer(f'fewer-{name}-{letter}')[1]}"
+            for name, label in FEWER.items()
+        ]
+        assert head[0] == {"g": "Go1", "c": "ANYmal-C"}[letter]
+        for name, row in zip(FEWER, rows, strict=True):
+            name = f"fewer-{name}-{letter}"
+            job, cut = fewer(name)
+            about = {(x["batch"], x["device"], x["commit"], x["job"]) for x in job}
+            assert about == {("fewer", "NVIDIA H200", "6000006171c7", asked[name])}
+            assert {x["seed"] for x in job} == {0, 1, 2}
+            last = float(re.search(r"num_iterations=(\d+)", asked[name])[1])
+            assert (job[-1]["iteration"] == last) != cut
+            ended[name] = cut
+            lines = table.table({name: job}, table.best(job)).splitlines()
+            known = dict(zip(cells(lines[0]), cells(lines[2])[1:], strict=True))
+            for title, cell in zip(head[1:], row[1:], strict=True):
+                if title.startswith("at ") and title.endswith(" M"):
+                    at = float(title.split()[1])
+                    assert at in MILLIONS
+                    if at > fewer_end(name):
+                        assert cut and not cell
+                        continue
+                    mean, fell = (fewer_at(name, at, x) for x in ("return", "fall_rate"))
+                    assert cell == f"{table.spread(mean)}, {100 * fell.mean():.1f} %", (name, at)
+                elif cut and "never" in known[title]:
+                    assert cell == "open", (name, title)
+                else:
+                    assert cell == known[title], (name, title)
+    assert {name.removeprefix("fewer-") for name, cut in ended.items() if cut} == {
+        *("1024-always-g", "1024-always-c", "1024-tails-c", "4096-tails-c")
+    }
+    text = " ".join((DEPLOY / "steps.md").read_text().split())
+    assert "seeds 0 to 2, 200 episodes of 20 s an evaluation; 2026-11-29, commit 60000061," in text
+    assert "Four runs were cut off" in text and f'"At {MILLIONS[0]} M" is return and falls' in text
+    assert len(ended) == 10
+
+
+def test_what_fewer_robots_and_longer_tails_are_worth_is_that_of_their_runs():
+    """Differences by Welch, ratios of steps by Fieller; runs that are one; PPO beside them."""
+    text = " ".join((DEPLOY / "steps.md").read_text().split())
+    short = " ".join((DEPLOY / "README.md").read_text().split())
+    tails, more, today, few = (
+        f"fewer-{x}-g" for x in ("1024-tails", "4096-tails", "deploy", "1024")
+    )
+    always, brief = "fewer-1024-always-g", "fewer-1024-tails-c"
+    anymal = "fewer-deploy-c"
+
+    def gap(one, other, at):
+        pair = fewer_at(one, at), fewer_at(other, at)
+        return stats.difference(*pair), *(x.mean() for x in pair)
+
+    far = fewer_end(more), fewer_end(tails)
+    assert fewer_end(today) == far[0]
+    (first, *_), (second, *_) = (
+        gap(x, today, at) for x, at in zip((more, tails), far, strict=True)
+    )
+    told = "With tails to iteration 400 a Go1 returns {:.1f} more after {:.1f} M steps (95 % from {:.1f} to"
+    told += " {:.1f})."
+    assert told.format(first.value, far[0], *first[1:]) in text
+    told = "With 1024 robots and tails to 600 it returns {:.1f} more after {:.1f} M ({:.1f} to {:.1f})."
+    assert told.format(second.value, far[1], *second[1:]) in text
+    firsts = [fewer_first(x, 35) for x in (more, tails, today)]
+    assert not np.isnan(firsts).any()
+    means = [x.mean() for x in firsts]
+    assert (
+        "These are at 35 after {:.1f} and {:.1f} M, `deploy` after {:.1f}.".format(*means) in text
+    )
+    told = (
+        "with tails to iteration 400 it is at 35 after {:.1f} M, with 1024 robots and tails to 600"
+    )
+    told += " after {:.1f}, `deploy` after {:.1f}."
+    assert told.format(*means) in short
+    seventeen = [fewer_first(x, 17) for x in (anymal, brief, "fewer-4096-tails-c")]
+    assert not np.isnan(seventeen).any()
+    told = "with 1024 robots and long tails it is at 17 after {1:.1f} M, `deploy` after {0:.1f}, but all"
+    told += " its runs with longer tails were cut off. When they get to 20,"
+    assert told.format(*(x.mean() for x in seventeen)) in text
+    # equal numbers of one run, and its evaluations
+    for one, other, until in (
+        (today, more, 150),
+        (anymal, "fewer-4096-tails-c", 150),
+        (always, tails, 600),
+        ("fewer-1024-always-c", brief, 600),
+    ):
+        both = [
+            {(x["seed"], x["iteration"]): x["return"] for x in fewer(y)[0]} for y in (one, other)
+        ]
+        shared = both[0].keys() & both[1].keys()
+        alike = [both[0][key] == both[1][key] for key in shared if key[1] <= until]
+        assert len(alike) >= 9 and all(alike)
+        later = [both[0][key] != both[1][key] for key in shared if key[1] > until]
+        assert all(later) and (later or one.endswith("always-c"))
+    apart = {
+        b["sim_steps"] - a["sim_steps"]
+        for x in (today, anymal)
+        for run in [[row for row in fewer(x)[0] if row["seed"] == 0 and row["iteration"] >= 160]]
+        for a, b in zip(run, run[1:], strict=False)
+    }
+    (apart,) = (x / 1e6 for x in apart)
+    assert f"After iteration 150 those of `deploy` are {apart:.2f} M steps apart" in text
+    assert "with 4096 robots are the same run of each seed until iteration 150, where their" in text
+    assert "so are `-tails` and `-always` until 600." in text
+    ratios = [stats.ratio(firsts[2], firsts[k]) for k in (1, 0)]
+    less_ = [(firsts[2].mean() - apart) / firsts[k].mean() for k in (1, 0)]
+    told = "To 35 it needs {:.1f} times the steps of 1024 robots with tails to 600 ({:.1f} to {:.1f}) and"
+    told += " {:.1f} times those of 4096 with tails to 400 ({:.1f} to {:.1f}). With {:.2f} M taken off it is"
+    told += " still {:.1f} and {:.1f} times."
+    assert told.format(*ratios[0], *ratios[1], apart, *less_) in text
+    others = seventeen[1:]
+    numbers = [seventeen[0].mean() / x.mean() for x in others]
+    numbers += [(seventeen[0].mean() - apart) / x.mean() for x in others]
+    assert (
+        "An ANYmal-C to 17, a level chosen after a look: "
+        "{:.1f} and {:.1f} times, so {:.1f} and {:.1f}.".format(*numbers)
+        in text
+    )
+    # the same robots; the same tails
+    found, mine, its = gap(tails, few, 4.3)
+    told = "With 1024 robots tails to 600 instead of 150 give a Go1 {:.1f} instead of {:.1f}"
+    told += " after 4.3 M ({:.1f} more, {:.1f} to {:.1f})."
+    assert told.format(mine, its, *found) in text
+    found, mine, its = gap(tails, few, far[1])
+    told = "After {:.1f} M it is {:.1f} and {:.1f}, and no difference is shown ({:.1f} more; {:.1f}"
+    told += " less to {:.1f} more)."
+    assert told.format(far[1], mine, its, found.value, -found.low, found.high) in text
+    told = "a Go1 with 1024 robots is at 30 after {:.1f} M, `deploy` after {:.1f}."
+    assert told.format(*(fewer_first(x, 30).mean() for x in (few, today))) in text
+    end = fewer_end(few)
+    (go1, *_), (other, *_) = gap(few, today, end), gap("fewer-1024-c", anymal, end)
+    p = stats.welch_of(*(fewer_at(x, end) for x in ("fewer-1024-c", anymal)))
+    told = (
+        "After {:.1f} M a Go1 has {:.1f} more ({:.1f} less to {:.1f} more), an ANYmal-C {:.1f} more"
+    )
+    told += " ({:.1f} to {:.1f}, p {:.3f})."
+    assert told.format(end, go1.value, -go1.low, go1.high, *other, p) in text
+    assert go1.low < 0 < other.low
+    ratio = stats.ratio(firsts[0], firsts[1])
+    p = stats.equivalence(fewer_at(tails, 10.6), fewer_at(more, 10.6), 1.0)
+    told = "to 35 4096 robots need {:.1f} times the steps of 1024 ({:.1f} to {:.1f}). After 10.6 M both have"
+    assert told.format(*ratio) in text
+    for x in (tails, more):
+        assert f"both have {fewer_at(x, 10.6).mean():.1f} (equal within 1.0, p {p:.3f})." in text
+    # PPO, whose third seed counts with the end of its run
+    jobs = less("ppo")[1]
+    its = {n: reached_of(jobs[f"deploy-{n}-g"], 35) / 1e6 for n in (256, 512, 1024)}
+    assert min(its, key=lambda n: np.nanmean(its[n])) == 256 and np.isnan(its[256]).sum() == 1
+    assert f"256 robots, is at 35 after {np.nanmean(its[256]):.1f} M in two of three seeds." in text
+    whole = np.nan_to_num(its[256], nan=jobs["deploy-256-g"][-1]["sim_steps"] / 1e6)
+    told = "at least {:.1f} times the steps of 1024 robots with tails to 600 ({:.1f} to {:.1f})."
+    assert told.format(*stats.ratio(whole, firsts[1])) in text
+    # falls
+    fell = {(x["seed"], x["iteration"]): x["fall_rate"] for x in fewer(tails)[0]}
+    seed = next(seed for seed, at in fell if at == 560 and fell[seed, at] > 0.1)
+    told = f"one Go1 with 1024 robots falls in {100 * fell[seed, 560]:.0f} % of its episodes"
+    assert f"{told} at iteration 560, and at 600 in none." in text
+    assert fell[seed, 600] == 0
+    late = [
+        x["fall_rate"]
+        for n, at in ((tails, 600), (more, 400))
+        for x in fewer(n)[0]
+        if x["iteration"] > at
+    ]
+    assert len(late) == 3 * (10 + 5)
+    assert f"ended no evaluation of a Go1 has more than {100 * max(late):.1f} %" in text
+    config = config_lib.validate(config_lib.load("go1:deploy"))
+    assert (config.schedule.rounds, config.schedule.last_iteration) == (3, 150)
+    assert f"tails end at iteration 150 of {config.run.num_iterations}." in text
+
+
+def test_what_was_predicted_of_fewer_robots_is_judged_by_their_runs():
+    """A cell a robot: right, wrong, or open where the run was cut off before it could tell."""
+    head, *rows = tables_of("steps")[4]
+    assert head[1:] == ["Go1", "ANYmal-C"] and len(rows) == 4
+    go1, anymal = zip(*(row[1:] for row in rows), strict=True)
+    for shown, letter, level, (early, late) in (
+        (go1, "g", 30, (5, 6)),
+        (anymal, "c", 20, (9, 11)),
+    ):
+        for cell, name, by in zip(shown, ("1024-tails", "1024"), (early, late), strict=False):
+            name = f"fewer-{name}-{letter}"
+            (job, cut), first = fewer(name), fewer_first(name, level)
+            ends = sorted(x["return"] for x in job[-3:])
+            end = f"{fewer_end(name):.1f} M"
+            if (first <= by).all():
+                assert cell == f"right: by {first.max():.2f} M"
+            elif cut and fewer_end(name) < by:
+                assert cell == f"open: cut off at {end}, at {ends[0]:.1f} to {ends[-1]:.1f}"
+            elif np.isnan(first).all():
+                assert cell == f"wrong: none; {ends[0]:.1f} to {ends[-1]:.1f} at {end}"
+            else:
+                (tardy,) = first[~(first <= by)]
+                assert cell == f"wrong: one of three at {tardy:.2f} M"
+    assert [row[0] for row in rows] == [
+        "1024, tails to 600: all at 30 (20) by 5 M (9 M)",
+        "1024, tails to 150: the same by 6 M (11 M)",
+        "4096, tails to 400: at 14.9 M at most 1.0 (0.7) above `deploy`",
+        "1024, always: at 7.4 M less than tails to 600 at 10.7 M",
+    ]
+    assert (stats.MARGIN["go1"], stats.MARGIN["anymal_c"]) == (1.0, 0.7)
+    more = stats.difference(
+        fewer_at("fewer-4096-tails-g", 14.876672), fewer_at("fewer-deploy-g", 14.876672)
+    )
+    assert more.value > stats.MARGIN["go1"] and go1[2] == f"wrong: {more.value:.1f} more"
+    end = fewer_end("fewer-4096-tails-c")
+    more = stats.difference(fewer_at("fewer-4096-tails-c", end), fewer_at("fewer-deploy-c", end))
+    told = "open: cut off at {:.1f} M, where it has {:.1f} more ({:.1f} to {:.1f})"
+    assert anymal[2] == told.format(end, *more)
+    end = fewer_end("fewer-1024-always-g")
+    ends = [fewer_at(x, fewer_end(x)).mean() for x in ("fewer-1024-always-g", "fewer-1024-tails-g")]
+    told = "open: cut off at {:.1f} M, at {:.1f}, the other ends at {:.1f}"
+    assert end < 7.4 and go1[3] == told.format(end, *ends)
+    both = [fewer(f"fewer-{x}-c")[1] for x in ("1024-always", "1024-tails")]
+    assert all(both) and anymal[3] == "open: both cut off"
+
+
+def changed_fields(job, fields):
+    """Fields of a config other than those of `run` that these change, and the config."""
+    mine = config_lib.load(f"configs/{job.replace(':', '.py:')}")
+    other = config_lib.flat(config_lib.validate(mine.copy_and_resolve_references()))
+    mine.run.log_every = 1
+    for name, value in (field.split("=", 1) for field in fields):
+        config_lib.override(mine, name, value)
+    found = config_lib.flat(config_lib.validate(mine))
+    return {name for name, x in found.items() if x != other[name] and name[:4] != "run."}, mine
+
+
 def test_jobs_of_fewer_steps_for_hardware_change_robots_and_tails_alone():
     """22_deploy/fewer.txt: the task is that of `deploy`, and PPO's and the model's settings are."""
     lines = (EXPERIMENTS / "22_deploy/fewer.txt").read_text().splitlines()
     assert len({line.split()[0] for line in lines}) == len(lines) == 10
     for line in lines:
         _, job, *fields = line.split()
-        mine, asked = config_lib.load(f"configs/{job.replace(':', '.py:')}"), {}
-        other = config_lib.flat(config_lib.validate(mine.copy_and_resolve_references()))
-        mine.run.log_every = 1
-        for field in fields:
-            name, value = field.split("=", 1)
-            config_lib.override(mine, name, value)
-            asked[name] = value
-        found = config_lib.flat(config_lib.validate(mine))
-        changed = {name for name, x in found.items() if x != other[name] and name[:4] != "run."}
+        changed, mine = changed_fields(job, fields)
         assert changed <= {"rollout.num_envs", "schedule.last_iteration"}
         assert bool(changed) != ("-deploy-" in line)  # `deploy` itself
         assert schedule.sim_steps(mine)[-1] < 16e6  # PPO's are up to 20 M
+
+
+def test_jobs_of_the_rule_for_fresh_seeds_for_hardware_are_as_the_page_says():
+    """fewer_fresh.txt and fewer_seconds.txt: robots, tails, lengths and seeds that nothing was tuned on."""
+    text = " ".join((DEPLOY / "steps.md").read_text().split())
+    changes, ends = {}, {}
+    for name, line in paper.jobs(DEPLOY / "fewer_fresh.txt").items():
+        job, *fields = line.split()
+        kind, letter = name.rsplit("-", 1)
+        assert job == {"g": "go1", "h": "go2", "c": "anymal_c", "d": "anymal_d"}[letter] + ":deploy"
+        changed, mine = changed_fields(job, fields)
+        asked = {x: config_lib.flat(mine)[x] for x in sorted(changed)}
+        assert changes.setdefault((kind, mine.run.num_iterations), asked) == asked
+        ends.setdefault(kind, set()).add(schedule.sim_steps(mine)[-1] / 1e6)
+        assert (mine.run.seed, mine.run.num_seeds, mine.run.eval_envs) == (750, 5, 200)
+        assert mine.run.num_iterations % mine.run.eval_every == 0
+    assert changes == {
+        ("fresh-deploy", 700): {},
+        ("fresh-4096", 600): {"schedule.last_iteration": 400},
+        ("fresh-1024", 1400): {"rollout.num_envs": 1024, "schedule.last_iteration": 600},
+    }
+    assert all(len(x) == 1 for x in ends.values())
+    ends = {kind: f"{x.pop():.1f} M" for kind, x in ends.items()}
+    assert f"of `deploy` to its end ({ends['fresh-deploy']})" in text
+    assert (
+        f"of 4096 robots with tails to 400 of 600 iterations (`fresh-4096`, {ends['fresh-4096']})"
+        in text
+    )
+    assert f"of 1024 with tails to 600 of 1400 (`fresh-1024`, {ends['fresh-1024']})" in text
+    assert "**The rule**, set on 2026-11-29 before any of these:" in text
+    assert "seeds (750 to 754) of each" in text and 3 * 200 == 600 and "these 600 episodes" in text
+    for file in ("deploy", "tuning", "fewer"):
+        for (_, name), job in packed(file).items():
+            assert ":deploy" not in next(iter(job.values()))[0]["job"] or not {*job} & {
+                *map(str, range(750, 758))
+            }, name
+    read = script("30_row_cost/run").read
+    timed = paper.jobs(DEPLOY / "fewer_seconds.txt")
+    assert [*timed] == ["deploy-g", "4096-g", "1024-g"]
+    for name, line in timed.items():
+        job, *fields = line.split()
+        its, (kind, _) = read(job, fields), name.rsplit("-", 1)
+        assert its.seeds == 3 and its.config.run.seed == 755 and job == "go1:deploy"
+        own = [x for x in fields if not x.startswith(("seeds=", "episodes=", "run.log_every="))]
+        changed, mine = changed_fields(job, own)
+        asked = {x: config_lib.flat(mine)[x] for x in changed}
+        assert changes[f"fresh-{kind}", mine.run.num_iterations] == asked
+        assert mine.run.num_iterations == its.config.run.num_iterations
 
 
 def test_the_bundled_policies_for_hardware_are_the_best_rows_of_their_file():
