@@ -1,4 +1,4 @@
-"""Other methods with 64 robots, many runs at once: settings for few robots, on tuning seeds.
+"""Other methods with 64 robots, many runs at once: settings for few robots, on tuning or fresh seeds.
 
     python experiments/27_few/peers.py OUT_FOLDER experiments/27_few/peers_tune.txt [NAME ...] [--workers 8]
         [--seeds 0 1] [--best FOLDER]
@@ -7,8 +7,9 @@ A line is `NAME SCRIPT ARGUMENTS`, SCRIPT one of 24_off_policy, and becomes OUT_
 seed. crossq.py trains many seeds at once, which must follow each other: OUT_FOLDER/NAME-FIRST-LAST.csv.
 A file that is there is skipped. A run that was cut off begins again, and the farther of its tries is kept as
 .csv.part. `--workers`: so many share the device, so their clocks say nothing. A .log beside a .csv has what
-the run said. `--best FOLDER`: the best of each method, by the rule of peers_table.py,
-with what this script wrote into FOLDER; a NAME is a method then, crossq or sac.
+the run said. `--best FOLDER`: the best of each method, by the rule of peers_table.py, of peers_tune.csv and
+what this script wrote into FOLDER; a NAME is a method then, crossq or sac. So ran the fresh seeds, 100 to
+102, of peers_fresh.csv.
 """
 
 import importlib

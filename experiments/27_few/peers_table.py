@@ -1,6 +1,7 @@
-"""Settings of CrossQ and SAC for 64 robots: the table of peers.md, and the best of each method so far.
+"""Settings of CrossQ and SAC for 64 robots: the tables of peers.md, and the best of each method.
 
-    python experiments/27_few/peers_table.py      # of peers_tune.csv, which has what peers.py wrote
+    python experiments/27_few/peers_table.py              # tuning seeds: peers_tune.csv, which peers.py wrote
+    python experiments/27_few/peers_table.py --fresh      # the best on fresh seeds: peers_fresh.csv
 
 A row a setting: return and episodes with a fall, means of its seeds, at the nearest evaluation; the first
 evaluation at 30 and at 38, thousand steps, mean of the seeds and the last of them.
@@ -10,7 +11,8 @@ both seeds; a seed that never gets there counts with twice all steps that are as
 the one with the higher return counts, mean of a seed's last three evaluations. A setting counts if both seeds
 get there or have nine tenths of their steps; all others in peers_tune.txt must run first, but for one that
 cannot be first any more: with the steps so far of each seed that is not there, its mean is above that of the
-best that counts. The best of each method then runs on seeds 100 to 102.
+best that counts. The best of each method then runs on seeds 100 to 102: all others have run, and
+peers_fresh.csv has them.
 """
 
 import csv
@@ -28,7 +30,7 @@ from experiments import paper
 runs = importlib.import_module("experiments.21_less.table")
 
 HERE = Path(__file__).parent
-RUNS, JOBS = HERE / "peers_tune.csv", HERE / "peers_tune.txt"
+RUNS, JOBS, FRESH = HERE / "peers_tune.csv", HERE / "peers_tune.txt", HERE / "peers_fresh.csv"
 AT = 13e3, 26e3, 38e3, 51e3, 102e3
 NEAR = 0.11  # of the steps: an evaluation that is farther is not shown
 EARLY, LEVEL = 30, walks.level(45)
@@ -75,20 +77,25 @@ class Setting(NamedTuple):
 
 
 def main():
-    paper.parser(__doc__).parse_args()
+    parser = paper.parser(__doc__)
+    parser.add_argument("--fresh", action="store_true", help="the best of each, on fresh seeds")
+    if parser.parse_args().fresh:
+        print(table(fresh()))
+        return
     found = settings()
     print(table(found))
     for method, name in METHODS.items():
         soonest, first = best(found, paper.jobs(JOBS), method)
         if soonest:
             one = found[soonest]
-            print(f"{name} so far: {soonest}, {one.cost / 1e3:.1f} k; at the end {one.end:.1f}")
+            best_of = f"{name} so far" if first else name
+            print(f"{best_of}: {soonest}, {one.cost / 1e3:.1f} k; at the end {one.end:.1f}")
         print(f"  must run first: {', '.join(first) or 'none'}")
 
 
 def settings(folder: Path | None = None, jobs: Path = JOBS) -> dict[str, Setting]:
     """Of peers_tune.csv; and of what peers.py wrote into a folder, cut off or not, where it got farther."""
-    lines, rows = paper.jobs(jobs), read(RUNS)
+    rows = read(RUNS)
     tries: dict[str, list] = {}
     for one in sorted(folder.glob("*.csv*") if folder else ()):  # .csv, .csv.part, .csv.new
         run, some = one.name.partition(".csv")[0], of_run(one)
@@ -99,6 +106,16 @@ def settings(folder: Path | None = None, jobs: Path = JOBS) -> dict[str, Setting
     for name, some in later.items():
         if far(some) > far(rows.get(name, [])):
             rows[name] = some
+    return each(rows, jobs)
+
+
+def fresh() -> dict[str, Setting]:
+    """Of peers_fresh.csv."""
+    return each(read(FRESH), JOBS)
+
+
+def each(rows: dict[str, list], jobs: Path) -> dict[str, Setting]:
+    lines = paper.jobs(jobs)
     return {
         name: setting(runs.seeds(some), asked(lines.get(name, ""))) for name, some in rows.items()
     }
