@@ -792,6 +792,29 @@ def test_settings_of_other_methods_with_few_robots_are_as_the_page_says():
     assert f"(p {least:.2f} and more)" in words and least > 0.05
 
 
+def test_the_readme_of_few_says_what_other_methods_need():
+    table, tuned, _ = settings_of_peers()
+    words = " ".join((EXPERIMENTS / "27_few/README.md").read_text().split())
+    crossq, sac = (table.fresh()[name] for name in ("crossq-gamma97", "sac-symmetric"))
+    end, sac_end = (np.mean([run[-1]["return"] for run in one.seeds]) for one in (crossq, sac))
+    plain = [
+        np.mean([run[-1]["return"] for run in one.seeds])
+        for name, one in tuned.items()
+        if name[:3] == "sac" and name != "sac-symmetric"
+    ]
+    need = crossq.level.mean() / 1e3
+    told = f"CrossQ is at 38 after {need:.0f},000 steps (three fresh seeds), "
+    told += "{:.1f} times those of `few` ({:.1f} to {:.1f}), ".format(
+        *stats.ratio(crossq.level, few_runs()[2])
+    )
+    assert f"{told}and ends at {end:.1f} after 205,000" in words
+    early = np.mean([table.runs.first(run, 30) for run in sac.seeds]) / 1e3
+    told = f"is at 30 after {early:.0f},000 and has {sac_end:.1f} after 205,000 (three fresh seeds), without "
+    assert f"{told}them {min(plain):.0f} to {max(plain):.0f} (five settings, two tuning" in words
+    told = f"CrossQ (at 38 after {need:.0f} k steps, three fresh seeds), SAC (symmetric: {sac_end:.1f} after "
+    assert f"{told}205 k; else {min(plain):.0f} to {max(plain):.0f})" in words
+
+
 def test_the_page_says_how_much_two_tries_of_equal_seeds_differ():
     """Two settings ran again from their start, after a call had cut them off."""
     table, found, page = settings_of_peers()
