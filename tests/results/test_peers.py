@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from result_files import EXPERIMENTS, few_jobs, few_of, script
+from result_files import EXPERIMENTS, few_fresh, few_jobs, few_of, script
 
 from dynappo.config import versions
 from experiments import paper, stats
@@ -218,14 +218,8 @@ def test_the_page_says_how_crossq_is_beside_best_ppo_and_sac():
     assert f"The first {one[0]['seconds']:.0f} have the compilation in them" in mine
     assert f"later 100 k steps take {1e5 * pace:.0f} s" in mine
     assert {len({run[k]["seconds"] for run in runs["crossq"]}) for k in range(len(one))} == {1}
-    alone_few = script("27_few/table").alone(EXPERIMENTS / "27_few/results/seconds.csv.xz")
-    few = next(one for one in alone_few if one.robots == 256).level[:, 1] / 1e6
-    tuned = few_of("robots-3", "robots-256-g")[1].level / 1e6
-    assert len(few) == len(tuned) == 3
-    fresh = (
-        "{:.1f} k with 256 robots (three fresh seeds; {:.1f} k on three tuning seeds, with smaller"
-    )
-    assert "needs " + fresh.format(1e3 * few.mean(), 1e3 * tuned.mean()) in words
+    few = few_of("default", "default-g")[1].level / 1e6
+    assert f"needs {1e3 * few.mean():.1f} k with 256 robots (ten fresh seeds)" in words
     told = "CrossQ takes {:.1f} times as many ({:.1f} to {:.1f}), with 64 robots"
     assert told.format(*stats.ratio(crossq, few)) in words
     job = paper.jobs(EXPERIMENTS / "24_off_policy/jobs.txt")["crossq"]
@@ -245,14 +239,12 @@ def test_the_page_says_how_crossq_is_beside_best_ppo_and_sac():
     told = f"trains for {min(clock):.0f} to {max(clock):.0f} s, three seeds at once, `best` for "
     assert (
         told + f"{float(alone):.1f}." in docs
-        and f"needs {1e3 * few.mean():.1f} k steps with" in docs
-        and f"fresh seeds; {1e3 * tuned.mean():.1f} k on tuning seeds, with smaller" in docs
+        and f"needs {1e3 * few.mean():.1f} k steps with 256 robots (ten fresh seeds)" in docs
     )
     few_page = " ".join((EXPERIMENTS / "27_few/peers.md").read_text().split())
-    told = "CrossQ needs [{:.2f} M](../24_off_policy/README.md#crossq), where `few` needs {:.1f} k (three"
-    told += " fresh seeds; {:.1f} k on tuning seeds, with smaller steps late, which it no longer has) and "
-    told += "`best`, with 1024, {:.2f} M"
-    told = told.format(crossq.mean(), 1e3 * few.mean(), 1e3 * tuned.mean(), best.mean())
+    told = "CrossQ needs [{:.2f} M](../24_off_policy/README.md#crossq), where `few` needs {:.1f} k (ten"
+    told += " fresh seeds) and `best`, with 1024, {:.2f} M"
+    told = told.format(crossq.mean(), 1e3 * few.mean(), best.mean())
     assert told in few_page
 
 
@@ -488,8 +480,8 @@ def test_the_table_of_settings_of_other_methods_is_the_printed_one(monkeypatch, 
 
 
 def few_runs():
-    """Of `few` on its ten fresh seeds: the runs, and the steps to a return of 30 and to the level."""
-    found, reached = few_of("late", "fresh-late-g")
+    """Of `few` on its thirty fresh seeds: the runs, and the steps to a return of 30 and to the level."""
+    found, reached = few_fresh("g")
     first = script("21_less/table").first
     return found, np.array([first(run, 30) for run in found]), reached.level
 
@@ -525,9 +517,9 @@ def test_the_page_says_how_the_best_of_other_methods_on_fresh_seeds_are_beside_f
     )
     told = told.format(need.mean(), need.mean() / 3)
     told += f"robot's time (mean of three fresh seeds, the last {need.max():.1f}). `few` is there after "
-    told += f"{few_38.mean() / 1e3:.1f} (ten fresh seeds), so CrossQ needs {times.value:.1f} times its steps "
-    told += "(95 % by Fieller, three and ten seeds: {:.1f} to {:.1f})".format(*times[1:])
-    assert told in head and (len(need), len(few_38)) == (3, 10)
+    told += f"{few_38.mean() / 1e3:.1f} (thirty fresh seeds), so CrossQ needs {times.value:.1f} times its steps "
+    told += "(95 % by Fieller, three and thirty seeds: {:.1f} to {:.1f})".format(*times[1:])
+    assert told in head and (len(need), len(few_38)) == (3, 30)
     assert "at 38 after {:.1f}, {:.1f} and {:.1f} k".format(*sorted(need)) in words
 
     def ends(runs, name="return"):
@@ -571,7 +563,7 @@ def test_the_page_says_how_the_best_of_other_methods_on_fresh_seeds_are_beside_f
     assert told in words and max(r["return"] for run in crossq.seeds for r in run) < 40
     gap = gap_of("`few` has {} more after 44 k ({} to {}, p {:.3f})", few_end, end, digits=1)
     assert gap in words and few_step / step == pytest.approx(0.2, abs=0.02)
-    told = "`few` has {:.1f} after 10 k, {:.1f} after 27 k and {:.1f} after 44 k (ten seeds)"
+    told = "`few` has {:.1f} after 10 k, {:.1f} after 27 k and {:.1f} after 44 k (thirty seeds)"
     curve = np.mean([[(r["sim_steps"], r["return"]) for r in run] for run in few], 0).T
     assert told.format(*np.interp([10e3, 27e3, 44e3], *curve)) in words
     # tuning seeds
@@ -616,7 +608,7 @@ def test_the_page_says_how_the_best_of_other_methods_on_fresh_seeds_are_beside_f
     assert "without them, ten in five settings, is at 30 at any evaluation; all five with" in words
     # 24_off_policy
     text = " ".join((EXPERIMENTS / "24_off_policy/README.md").read_text().split())
-    told = "[{:.1f} times](../27_few/peers.md#fresh-seeds) ({:.1f} to {:.1f}, three and ten fresh seeds)"
+    told = "[{:.1f} times](../27_few/peers.md#fresh-seeds) ({:.1f} to {:.1f}, three and thirty fresh seeds)"
     assert told.format(*times) in text
     told = gap_of("after 100 k steps SAC has {} more with them ({} to {}).", *at_100, digits=1)
     told += (
