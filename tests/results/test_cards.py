@@ -31,7 +31,10 @@ def no_cards(monkeypatch):
 
 def test_lanes_run_side_by_side_and_end_in_time(tmp_path, monkeypatch):
     """A lane's commands come one after the other; one that takes too long ends, with what it started."""
-    child = f"import subprocess as s, time; s.Popen(['sleep', '77']); open('{tmp_path}/began', 'w')"
+    long = 7700 + os.getpid() % 1000 / 1000  # told apart from those of other runs of this test
+    child = (
+        f"import subprocess as s, time; s.Popen(['sleep', '{long}']); open('{tmp_path}/began', 'w')"
+    )
     child += "; time.sleep(77)"
     plan = tmp_path / "plan.txt"
     plan.write_text(
@@ -52,7 +55,7 @@ c 0a 9 touch OUT/never.txt
     assert time.monotonic() - began < 30
     assert (tmp_path / "began").exists()
     running = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True).stdout
-    assert "sleep 77" not in running.splitlines()
+    assert f"sleep {long}" not in running.splitlines()
     assert (out / "second.txt").read_text() == f"card 0 in {out} all\n"
     assert (out / "third.txt").read_text() == "false\n"  # two lanes share the card
     assert "ended after" in (out / "0a.log").read_text()
