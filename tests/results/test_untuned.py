@@ -1,10 +1,10 @@
-"""23_untuned: the tables of a GPU, and PPO that was tuned on these robots."""
+"""23_untuned: fresh seeds of `best` and tuned PPO by their rule, and the tables of the other runs."""
 
 import re
 
 import numpy as np
 import pytest
-from result_files import EXPERIMENTS, LESS, cells, script
+from result_files import EXPERIMENTS, LESS, LETTERS, cells, less, script
 
 from dynappo import config as config_lib
 from dynappo import schedule
@@ -14,6 +14,18 @@ FOLDER = EXPERIMENTS / "23_untuned"
 PAGE = (FOLDER / "README.md").read_text()
 WORDS = " ".join(PAGE.split())
 ROBOTS = {"anymal_b": "ANYmal-B", "spot": "Spot"}
+FRESH = "Today's `best` beside tuned PPO"
+TITLES = {  # jobs of fresh.txt -> rows of the table
+    "anymal_b-best": "ANYmal-B, `best`",
+    "walks-anymal_b-grid-512-kl3": "ANYmal-B, PPO chosen to walk, 512 robots",
+    "level-anymal_b-grid-128-kl3": "ANYmal-B, PPO chosen for the level, 128 robots",
+    "spot-best": "Spot, `best`",
+    "walks-spot-grid-256-kl3": "Spot, PPO chosen for both, 256 robots",
+}
+CHOSEN = {  # PPO chosen to walk
+    "anymal_b": "walks-anymal_b-grid-512-kl3",
+    "spot": "walks-spot-grid-256-kl3",
+}
 
 
 def read(name, batch=None):
@@ -29,6 +41,22 @@ def part(title):
     return {row[0]: row[1:] for row in rows}
 
 
+def row_of(table, job):
+    """Cells of a job's line by table.py, without its name and count of seeds."""
+    return cells(table.table({"x": job}, table.best(job)).splitlines()[2])[2:]
+
+
+def head_of(table, job):
+    """The line above it, the same way."""
+    return cells(table.table({"x": job}, table.best(job)).splitlines()[0])[1:]
+
+
+def falls_then(table, job):
+    """Per cent of episodes with a fall when first at 24: mean, and the worst seed's."""
+    then = [100 * table.first(run, 24, "fall_rate") for run in table.seeds(job)]
+    return f"{np.mean(then):.1f} % (up to {max(then):.1f} %)"
+
+
 def soonest(goal):
     """Of each robot the setting with the lowest cost by choose.py: its name without the robot, its job."""
     choose, (_, jobs) = script("21_less/choose"), read("ppo", "2")
@@ -40,33 +68,163 @@ def soonest(goal):
     return found
 
 
-def test_the_tables_of_best_are_those_of_its_runs():
-    """And the same jobs once more, to the level."""
-    table, jobs = read("best")
-    shown = part("`best` on a GPU")
-    kinds = {"best": "best", "ppo-1024x24": "PPO, its settings, 24 rows", "ppo16": "PPO-16"}
-    robots = ROBOTS | {"anymal_c-exact": "ANYmal-C, exact task", "go1-exact": "Go1, exact task"}
-    for robot, title in robots.items():
-        for kind, called in kinds.items():
-            job = jobs[f"{robot}-{kind}"]
-            row = cells(table.table({"x": job}, table.best(job)).splitlines()[2])
-            assert shown[f"{title}, {called}".replace("best", "`best`")] == row[2:], (robot, kind)
-    again = {
-        robot: [table.reached(table.seeds(jobs[f"{robot}-{kind}-2"]), 24).level for kind in kinds]
-        for robot in ROBOTS
+def fresh_rule():
+    """The script, and the packed fresh runs."""
+    return script("23_untuned/fresh"), read("fresh")[1]
+
+
+def test_the_table_of_fresh_seeds_is_that_of_its_runs():
+    """Every job of fresh.txt, whole, with its ten seeds once, of the host and commit that the page names."""
+    table, jobs = read("fresh")
+    assert {name: job[0]["job"] for name, job in jobs.items()} == paper.jobs(FOLDER / "fresh.txt")
+    shown = part(FRESH)
+    assert {row for row in shown if row.startswith(tuple(ROBOTS.values()))} == {
+        *TITLES.values(),
+        *(
+            f"{robot}, {goal}"
+            for robot in ROBOTS.values()
+            for goal in fresh_rule()[0].GOALS.values()
+        ),
     }
-    means = {robot: [np.nanmean(x) / 1e6 for x in some] for robot, some in again.items()}
-    text = "are at 24 after {:.2f} (`best`), {:.2f} (PPO) and {:.2f} M steps (PPO-16) on ANYmal-B"
-    assert text.format(*means["anymal_b"]) in WORDS
-    assert ", {:.2f}, {:.2f} and {:.2f} (3 of 5 never) on Spot".format(*means["spot"]) in WORDS
-    never = [[int(np.isnan(x).sum()) for x in some] for some in again.values()]
-    assert never == [[0, 0, 0], [0, 0, 3]]
-    whole = {
-        name: np.nanmean(table.reached(table.seeds(job), table.walks.level(table.best(job))).level)
-        for name, job in jobs.items()
-    }
-    more = [whole[f"{robot}-ppo-1024x24"] / whole[f"{robot}-best"] for robot in robots]
-    assert f"It needs {min(more):.0f} to {max(more):.0f} times the steps of `best`" in WORDS
+    for name, title in TITLES.items():
+        job = jobs[name]
+        assert sorted(run[0]["seed"] for run in table.seeds(job)) == [*range(1200, 1210)]
+        (about,) = {(row["batch"], row["device"], row["commit"]) for row in job}
+        assert about[:2] == ("fresh", "NVIDIA H200") and about[2].startswith("60000061")
+        row = row_of(table, job)
+        assert shown[title] == [*row[:2], falls_then(table, job), *row[2:]], name
+    head = head_of(table, job)
+    assert shown["of 30"] == [*head[:2], "falls then", *head[2:]]
+    assert "no seconds; 2026-11-29, commit 60000061. No run is left out." in WORDS
+    assert "Ten fresh seeds each (1200 to 1209), `fresh.txt`, evaluated on 1000 episodes" in WORDS
+    assert "one NVIDIA H200, 2026-11-29, commit 60000061" in WORDS.split("**In Isaac Lab")[0]
+
+
+def of_level(one, whose=""):
+    """How many times the steps of `best` PPO needs, as the lead says it."""
+    found = fresh_rule()[0].around(one)
+    return f"{found.value:.2f} times the steps{whose} to the level ({found.low:.2f} to {found.high:.2f}"
+
+
+def of_walk(one, word=""):
+    value, low, high = (x / 1e6 for x in fresh_rule()[0].around(one))
+    return f"{value:.2f} M{word} more to a walk ({low:.2f} to {high:.2f}"
+
+
+def test_the_verdict_on_fresh_seeds_is_what_the_rule_says():
+    """The table under the runs, by the lines that fresh.py prints; the lead and the rule's own section."""
+    fresh, jobs = fresh_rule()
+    lines, shown, said = fresh.told(jobs), part(FRESH), []
+    for title, *numbers, verdict in zip(*[iter(lines)] * 4, strict=True):
+        where, told = title.split(": PPO ")
+        ppo, best = told.split(", `best` ")
+        (need, p), (less, p_less) = (x.strip().split(", Holm's p ") for x in numbers)
+        need, less = (x.replace(" times the steps", " times") for x in (need, less))
+        need, less = (x.replace(" M steps", " M") for x in (need, less))
+        row = [ppo, best, need, p, f"{less}, p {p_less}", verdict.strip()]
+        assert shown[where] == row, where
+        said.append(verdict.strip())
+    assert (
+        said == ["PPO needs so many times the steps of `best`", "PPO needs so many steps more"] * 2
+    )
+    text = (
+        f'all four are shown, both ways. To the level "{said[0]}", to a walk "{said[1]}", on both'
+    )
+    assert text in WORDS
+    steps = {(r, g): fresh.steps(jobs, r, g) for r in ROBOTS for g in fresh.GOALS}
+    assert [one.never for one in steps.values()] == [(0, 0), (1, 0), (0, 0), (0, 0)]
+    head = WORDS.split("**In Isaac Lab")[0]
+    (level_b, walk_b, level_s, walk_s) = steps.values()
+    best = [f"{one.best.mean() / 1e6:.2f}" for one in steps.values()]
+    ppo = [f"{one.ppo.mean() / 1e6:.2f}" for one in steps.values()]
+    text = f"ANYmal-B is at 24 of 30 after {best[0]} M simulator steps and Spot after {best[2]} M, and they "
+    text += (
+        f"walk after {best[1]} and {best[3]} M: means of ten fresh seeds each, all of which walk."
+    )
+    assert text in head
+    text = f"On ANYmal-B PPO without a model needs {of_level(level_b, ' of `best`')}; PPO {ppo[0]} M), and "
+    text += f"{of_walk(walk_b, ' steps')}; PPO {ppo[1]} M, where the one seed of ten that never walks counts "
+    assert text + "with twice its run)." in head
+    text = (
+        f"On Spot it needs {of_level(level_s)}; {ppo[2]} M), and {of_walk(walk_s)}; {ppo[3]} M).**"
+    )
+    assert text in head
+    assert f"a seed that never walks counts with {2 * level_b.end / 1e6:.2f} M steps:" in WORDS
+    tuned = part("PPO tuned on these robots")
+    was = [tuned[f"{name}, KL 0.03"][1] for name in ("ANYmal-B, 512 robots", "Spot, 256 robots")]
+    text = (
+        f"did so after {was[0]} (ANYmal-B) and {was[1]} M (Spot), here after {ppo[1]} and {ppo[3]}."
+    )
+    assert text in WORDS
+
+
+def test_what_the_page_says_of_single_fresh_seeds():
+    """The last of `best` and the first of PPO, to both goals; the seed that never walks; those that fall."""
+    (fresh, jobs), table = fresh_rule(), script("21_less/table")
+    steps = {(r, g): fresh.steps(jobs, r, g) for r in ROBOTS for g in fresh.GOALS}
+    assert all(one.best.max() < one.ppo.min() for one in steps.values())
+    last = {key: f"{one.best.max() / 1e6:.2f}" for key, one in steps.items()}
+    first = {key: f"{one.ppo.min() / 1e6:.2f}" for key, one in steps.items()}
+    (at,) = {last[robot, "level"] for robot in ROBOTS}
+    b, s = ROBOTS
+    text = f"The last seeds of `best` are at the level after {at} M on both robots, the first of PPO after "
+    text += f"{first[b, 'level']} (ANYmal-B) and {first[s, 'level']} M (Spot). They walk after "
+    text += f"{last[b, 'walks']} and {last[s, 'walks']} M, the first of PPO after {first[b, 'walks']} and "
+    assert text + f"{first[s, 'walks']} M." in WORDS
+    runs = table.seeds(jobs[CHOSEN[b]])
+    found = table.reached(runs, 24)
+    later = [
+        [row["fall_rate"] for row in run if row["sim_steps"] >= at]
+        for run, at in zip(runs, found.level, strict=True)
+    ]
+    falling = sum(max(rates) > 0.01 for rates in later)
+    assert falling == np.sum(~(found.walks == found.level)) == 5
+    text = f"are at 24 by {found.level.max() / 1e6:.2f} M, but five go on falling in a little more than 1 % "
+    text += f"of the episodes, at most {100 * max(map(max, later)):.1f} %, for a while."
+    assert text in WORDS
+    (never,) = np.flatnonzero(np.isnan(found.walks))
+    text = f"never walks is at 24 after {found.level[never] / 1e6:.2f} M, and falls in "
+    assert text + f"{100 * runs[never][-1]['fall_rate']:.1f} % of its last evaluation." in WORDS
+    one = steps[b, "walks"]
+    once = stats.difference(np.minimum(one.ppo, one.end), one.best)
+    value, low, high = (x / 1e6 for x in once)
+    text = f"If it counts with the {one.end / 1e6:.2f} M of its run, not twice that, PPO needs {value:.2f} M "
+    assert text + f"more ({low:.2f} to {high:.2f}; looked at" in WORDS
+    level = table.reached(table.seeds(jobs["level-anymal_b-grid-128-kl3"]), 24)
+    assert np.isnan(level.walks).sum() == 3 and "for the level three of ten never walk." in WORDS
+
+
+def test_how_fresh_runs_end_at_equal_steps():
+    """Where PPO ends: returns and falls of `best` less those of the PPO chosen to walk."""
+    table, jobs = read("fresh")
+    ends, falls, p = {}, {}, {}
+    for robot, name in CHOSEN.items():
+        end = table.seeds(jobs[name])[0][-1]["sim_steps"]
+        assert f"**At equal steps**, {end / 1e6:.2f} M, where PPO ends" in WORDS
+        best, ppo = (table.between(jobs[job], end, "return") for job in (f"{robot}-best", name))
+        ends[robot], p[robot] = stats.difference(best, ppo), stats.equivalence(best, ppo, 0.7)
+        few, many = (
+            100 * table.between(jobs[job], end, "fall_rate") for job in (f"{robot}-best", name)
+        )
+        falls[robot] = many.mean(), few.mean(), *stats.difference(many, few)[1:]
+    b, s = ROBOTS
+    assert all(x[2] > 0 for x in falls.values()) and ends[s].low > 0 and max(p.values()) < 0.05
+    assert abs(ends[b].value) < 0.05 and f"{-ends[b].low:.1f}" == f"{ends[b].high:.1f}"
+    text = f"returns are equal within 0.7 (p of equivalence {p[b]:.0e} on ANYmal-B, {p[s]:.2f} on Spot). On "
+    text += f"ANYmal-B they differ by 0.0 ({ends[b].high:.1f} either way), on Spot `best` has "
+    assert text + f"{ends[s].value:.1f} more ({ends[s].low:.1f} to {ends[s].high:.1f})." in WORDS
+    text = "PPO falls more: {:.1f} instead of {:.1f} % on ANYmal-B (difference {:.2f} to {:.2f} points), "
+    text = text.format(*falls[b])
+    assert (
+        text + "{:.1f} instead of {:.1f} % on Spot ({:.2f} to {:.2f}).".format(*falls[s]) in WORDS
+    )
+    there, head = less("headline")
+    levels = [
+        there.reached(there.seeds(job), there.walks.level(there.best(job))).level.mean() / 1e6
+        for job in (head[f"best-{letter}"] for letter in LETTERS.values())
+    ]
+    text = f"needs about as many steps to the level, {min(levels):.2f} to {max(levels):.2f} M"
+    assert text in WORDS
 
 
 def test_the_table_of_ppo_tuned_here_is_that_of_its_runs():
@@ -81,182 +239,122 @@ def test_the_table_of_ppo_tuned_here_is_that_of_its_runs():
         robot, _, robots, kl = name.split("-")
         runs = table.seeds(job)
         assert len(runs) == 3 and {run[-1]["sim_steps"] for run in runs} == {300 * 512 * 24}
-        row = cells(table.table({"x": job}, 30).splitlines()[2])[2:]
-        then = [100 * table.first(run, 24, "fall_rate") for run in runs]
-        cost = f"{choose.cost(job) / 1e6:.2f}"
-        falls = f"{np.mean(then):.1f} % (up to {max(then):.1f} %)"
-        mine = [row[0], cost, row[1], falls, row[2], *row[-2:]]
+        row, cost = row_of(table, job), f"{choose.cost(job) / 1e6:.2f}"
+        mine = [row[0], cost, row[1], falls_then(table, job), row[2], *row[-2:]]
         assert shown[f"{ROBOTS[robot]}, {robots} robots, KL 0.0{kl[2:]}"] == mine, name
         assert (f"| {row[0]} | **{cost}** | {row[1]} |" in PAGE) == (name in least)
+    head = head_of(table, job)
+    assert shown[head[0]] == ["by the rule", head[1], "falls then", head[2], *head[-2:]]
 
 
-def million(job, goal, half=False, end=np.inf):
-    """Million steps of each seed of one batch without evaluations after `end`; NaN: never. `half`: less half
-    the interval before the evaluation where it gets there."""
-    table = script("21_less/table")
-    runs = {
-        run[0]["seed"]: [row for row in run if row["sim_steps"] <= end] for run in table.seeds(job)
-    }
-    found = getattr(table.reached(list(runs.values()), 24), goal)
-    if half:
-        for k, run in enumerate(runs.values()):
-            at = np.array([0, *(row["sim_steps"] for row in run)])
-            found[k] -= np.diff(at)[at[1:] == found[k]].sum() / 2
-    return {seed: x / 1e6 for seed, x in zip(runs, found, strict=True)}
+def test_the_settings_of_ppo_tuned_here_are_those_of_its_jobs():
+    """And which were chosen."""
+    jobs, told = read("ppo", "2")[1], set()
+    for job in jobs.values():
+        asked = dict(field.split("=") for field in job[0]["job"].split()[1:])
+        a_row = int(asked["rollout.num_envs"]) * int(asked["rollout.horizon"]) / 1e6
+        end, late, every = (
+            a_row * int(asked[name])
+            for name in ("run.num_iterations", "schedule.late_from", "run.eval_every")
+        )
+        last = int(asked["run.seed"]) + int(asked["run.num_seeds"]) - 1
+        text = f"gamma {asked['ppo.gamma']}, lambda {asked['ppo.lambda_']}, {asked['rollout.horizon']} rows, "
+        text += f"today's task, half of the KL after {late:.1f} M steps, {end:.1f} M in all. Tuning seeds "
+        text += f"{asked['run.seed']} to {last}, {asked['run.eval_envs']} episodes of 20 s every {every:.2f}"
+        told.add(text)
+    (settings,) = told
+    assert settings in WORDS
+    assert f"a seed that never walks counts with {2 * end:.1f} M" in WORDS
+    walks, level = (
+        [name.removesuffix("-kl3") for name, _ in soonest(goal).values()]
+        for goal in ("walks", "level")
+    )
+    text = f"{walks[0]} robots on ANYmal-B, {walks[1]} on Spot, both with a KL of 0.03. Soonest at the level "
+    text += f"are {level[0]} robots on ANYmal-B, which go on falling (one seed of three never walks), and "
+    assert text + f"the same {level[1]} on Spot." in WORDS and walks[1] == level[1]
 
 
-def seed_means(batches, *how, **which):
-    """A number a seed, the mean of its runs; and a number a run. Equal seeds are in all batches."""
-    each = [million(job, *how, **which) for job in batches]
-    assert all(one.keys() == each[0].keys() for one in each)
-    runs = np.array([list(one.values()) for one in each])
-    return runs.mean(0), runs.ravel()
-
-
-def both_batches():
-    """Of each robot: jobs of `best`, of PPO chosen to walk, of PPO soonest at the level; one a batch."""
-    _, jobs = read("best")
-    _, before = read("ppo", "1")
-    found = {}
-    for robot in ROBOTS:
-        best = [jobs[f"{robot}-best"], jobs[f"{robot}-best-2"]]
-        some = [soonest(goal)[robot] for goal in ("walks", "level")]
-        ppo = [
-            [*([old] if (old := before.get(f"{robot}-grid-{name}")) else []), job]
-            for name, job in some
-        ]
-        found[robot] = best, *ppo
-    return found
-
-
-def around(found):
-    """Ends of an interval of a difference, in words."""
-    if found.low < 0:
-        return f"{-found.low:.2f} fewer to {found.high:.2f} more"
-    return f"{found.low:.2f} to {found.high:.2f}"
-
-
-def test_beside_best_tuned_ppo_needs_what_the_page_says():
-    """By means of seeds, whose runs of both batches count on both sides."""
+def test_what_three_tuning_seeds_said():
+    """The chosen PPO, its earlier batch, and both beside the older `best` before the fresh runs."""
+    table, (earlier,) = script("21_less/table"), read("ppo", "1")[1].values()
     assert [name for name, _ in soonest("walks").values()] == ["512-kl3", "256-kl3"]
     assert [name for name, _ in soonest("level").values()] == ["128-kl3", "256-kl3"]
-    jobs = both_batches()
-    assert [list(map(len, some)) for some in jobs.values()] == [[2, 2, 1], [2, 1, 1]]
-    best, ppo, soon, wide = {}, {}, {}, {}
-    for robot, (mine, chosen, level) in jobs.items():
-        best[robot] = {goal: seed_means(mine, goal)[0] for goal in ("walks", "level")}
-        ppo[robot], soon[robot] = seed_means(chosen, "walks")[0], seed_means(level, "level")[0]
-        wide[robot] = seed_means(chosen, "level")[0]
-        assert len(best[robot]["walks"]) == 5 and len(ppo[robot]) == len(soon[robot]) == 3
-    some = [stats.ratio(soon[r], best[r]["level"]) for r in ROBOTS]
-    some.append(stats.ratio(wide["anymal_b"], best["anymal_b"]["level"]))
-    text = "needs {:.1f} times the steps of `best` on ANYmal-B ({:.1f} to {:.1f}) and ".format(
-        *some[0]
-    )
-    text += "{:.1f} times on Spot ({:.1f} to {:.1f}); ".format(*some[1])
-    assert (
-        text + "512 robots on ANYmal-B {:.1f} times ({:.1f} to {:.1f}).".format(*some[2]) in WORDS
-    )
-    first = [best[r]["level"].mean() for r in ROBOTS]
-    assert "`best` is first there after {:.2f} and {:.2f} M.".format(*first) in WORDS
-    one, other = (stats.difference(ppo[r], best[r]["walks"]) for r in ROBOTS)
-    assert one.low > 0 > other.low
-    p = stats.welch_of(ppo["anymal_b"], best["anymal_b"]["walks"])
-    means = [x.mean() for r in ROBOTS for x in (ppo[r], best[r]["walks"])]
-    text = f"needs {one.value:.2f} M more on ANYmal-B ({around(one)}, p {p:.3f}): "
-    text += "{:.2f} M, `best` {:.2f}. On Spot no difference is shown, ".format(*means[:2])
-    text += f"{other.value:.2f} M more ({around(other)}): " + "{:.2f} M, `best` {:.2f}.".format(
-        *means[2:]
-    )
-    assert f"To a walk** the chosen PPO {text}" in WORDS
-    head = WORDS.split("In `isaaclab_exact`")[0]
-    text = f"needs {one.value:.2f} M more with the PPO chosen for that than with `best` ({around(one)}, "
-    assert text in head
-    fewest = [soon[r].mean() for r in ROBOTS]
-    assert "needs {:.2f} and {:.2f} M, PPO-16".format(*fewest) in head
-
-
-def test_other_ways_to_count_say_what_the_page_says():
-    """Runs singly, one batch, a setting that ties; half an interval less; `best` cut off where PPO ends."""
-    jobs = both_batches()
-    mine, chosen, _ = jobs["anymal_b"]
-    best, runs = seed_means(mine, "walks")
-    mean, six = seed_means(chosen, "walks")
-    assert (len(six), len(runs)) == (6, 10)
-    singly = stats.difference(six, runs)
-    assert f"each run counted singly, six and ten, gives {around(singly)} M more" in WORDS
-    second = stats.difference(seed_means(chosen[1:], "walks")[0], best)
-    tie = seed_means([read("ppo", "2")[1]["anymal_b-grid-256-kl3"]], "walks")[0]
-    assert round(tie.mean(), 6) == round(mean.mean(), 6)
-    tied = stats.difference(tie, best)
-    assert singly.low > 0 > max(second.low, tied.low)
-    assert f"512 robots were chosen, shows nothing ({around(second)}), nor do 256 robots" in WORDS
-    assert f"which ran once and tie at {tie.mean():.2f} M ({around(tied)})" in WORDS
-    mine, chosen, _ = jobs["spot"]
-    one, other = (seed_means([job], "walks")[0] for job in mine)
-    text = f"`best` walks after {one.mean():.2f} M in the batch of the table and {other.mean():.2f} in the"
-    assert text in WORDS
-    alone = stats.difference(seed_means(chosen, "walks")[0], one)
-    assert f"first alone PPO needs {alone.value:.2f} M more ({around(alone)})" in WORDS
-    ratios, later, cut, less = [], [], [], set()
-    end = chosen[0][-1]["sim_steps"]
-    for mine, chosen, soon in jobs.values():
-        best, ppo = (seed_means(x, "level", half=True)[0] for x in (mine, soon))
-        ratios.append(stats.ratio(ppo, best))
-        plain = [seed_means(x, "level")[0].mean() for x in (soon, mine)]
-        assert ratios[-1].low > 1 and ratios[-1].value > plain[0] / plain[1]
-        less.add(round(plain[0] - plain[1] - stats.difference(ppo, best).value, 2))
-        sides = [seed_means(x, "walks", half=True)[0] for x in (chosen, mine)]
-        later.append(stats.difference(*sides))
-        ppo, best = seed_means(chosen, "walks")[0], seed_means(mine, "walks", end=end)[0]
-        cut.append(stats.difference(ppo, best))
-    text = "are larger, {:.1f} ({:.1f} to {:.1f}) and ".format(*ratios[0])
-    text += "{:.1f} ({:.1f} to {:.1f}), though the differences are ".format(*ratios[1])
-    (shift,) = less
-    assert text + f"{shift:.2f} M smaller." in WORDS
-    assert later[0].low > 0 > later[1].low
-    text = "To a walk PPO then needs {:.2f} M more on ANYmal-B ({}) and {:.2f} M more on Spot ({})."
-    assert text.format(later[0].value, around(later[0]), later[1].value, around(later[1])) in WORDS
-    mine, chosen, _ = jobs["anymal_b"]
-    whole = stats.difference(*(seed_means(x, "walks")[0] for x in (chosen, mine)))
-    assert cut[0] == whole and cut[1].low < 0
-    text = f"on Spot PPO needs {cut[1].value:.2f} M more ({around(cut[1])})."
-    assert f"nothing changes on ANYmal-B, and {text}" in WORDS
-    at = [
-        [row["sim_steps"] for row in script("21_less/table").seeds(x[0])[0]] for x in (chosen, mine)
-    ]
-    ppo, best = (np.diff(x) / 1e6 for x in at)
-    soon = [f"{x:.2f}" for x in (*set(ppo), best[0], at[1][6] / 1e6, np.median(best[6:]))]
-    text = (
-        "PPO's are {} M steps apart. Those of `best` are {} M apart up to {} M, then mostly {} M."
-    )
-    assert text.format(*soon) in WORDS and len(set(best[:6])) == 1 < len(set(best[:7]))
-    ends = at[1][-1] / 1e6, at[0][-1] / 1e6
-    text = "must walk until {:.1f} M, on {} episodes an evaluation, PPO until {:.1f} M, on {}."
-    first, last = (" ".join(x[0][0]["job"].split()[2:]) for x in (mine, chosen))
-    assert "eval_envs" not in first and "evaluated every 20 iterations on 100 episodes" in WORDS
-    assert "run.eval_envs=200" in last and "200 episodes of 20 s every 0.12 M steps" in WORDS
-    assert text.format(ends[0], 100, ends[1], 200) in WORDS
-
-
-def test_what_ran_before_and_what_21_less_says_of_it():
-    """The chosen job of ANYmal-B in batch 1, alone and with batch 2."""
-    table, (before,) = script("21_less/table"), read("ppo", "1")[1].values()
-    was = table.reached(table.seeds(before), 24)
+    was = table.reached(table.seeds(earlier), 24)
     text = f"walked after {table.steps_of(was.walks).replace(' (', ' M (')}, and was at 24 after "
     assert text + table.steps_of(was.level) in WORDS
-    jobs = both_batches()
-    both = seed_means(jobs["anymal_b"][1], "walks")[0].mean()
-    assert f"Both together take {both:.2f} M to a walk, as 256 robots with a KL of 0.03 do" in WORDS
+    again = table.reached(table.seeds(soonest("walks")["anymal_b"][1]), 24).walks
+    both = (was.walks + again) / 2  # seeds 0 to 2, twice each
+    tie = table.reached(table.seeds(read("ppo", "2")[1]["anymal_b-grid-256-kl3"]), 24).walks
+    assert f"{both.mean():.0f}" == f"{tie.mean():.0f}"
+    text = f"Both together take {both.mean() / 1e6:.2f} M to a walk, as 256 robots with a KL of 0.03 do"
+    assert text in WORDS
     _, cut = read("cut")
     assert len(cut) == 3 and "Three jobs were cut off then" in WORDS
+    _, jobs = read("best")
+
+    def older(robot, goal):
+        """Each seed's mean of its two runs."""
+        runs = [jobs[f"{robot}-best"], jobs[f"{robot}-best-2"]]
+        return np.mean([getattr(table.reached(table.seeds(job), 24), goal) for job in runs], 0)
+
+    level = {r: table.reached(table.seeds(soonest("level")[r][1]), 24).level for r in ROBOTS}
+    times = [level[r].mean() / older(r, "level").mean() for r in ROBOTS]
+    spot = table.reached(table.seeds(soonest("walks")["spot"][1]), 24).walks
+    more = [
+        stats.difference(both, older("anymal_b", "walks")),
+        stats.difference(spot, older("spot", "walks")),
+    ]
+    assert more[0].low > 0 > more[1].low
+    text = "{:.1f} (ANYmal-B) and {:.1f} times (Spot) the steps to the level, to a walk ".format(
+        *times
+    )
+    text += f"{more[0].value / 1e6:.2f} M more on ANYmal-B, on Spot no difference shown."
+    assert text in WORDS
     page = " ".join((LESS / "ppo.md").read_text().split())
-    told = [seed_means(jobs[r][1][-1:], "walks")[0].mean() for r in ROBOTS]
-    fewest = [seed_means(jobs[r][2], "level")[0].mean() for r in ROBOTS]
-    text = f"ANYmal-B walks after {told[0]:.2f} M (512 robots, KL 0.03; {was.walks.mean() / 1e6:.2f} M in an "
-    text += f"earlier batch of the same job and seeds; both together, {both:.2f} M, tie with 256 robots), "
-    text += f"Spot after {told[1]:.2f} M (256 robots, KL 0.03); soonest at the level are 128 and 256 robots, "
-    assert text + "after {:.2f} and {:.2f} M".format(*fewest) in page
+    told = [f"{x.mean() / 1e6:.2f} M" for x in (again, was.walks, both, spot)]
+    text = f"ANYmal-B walks after {told[0]} (512 robots, KL 0.03; {told[1]} in an earlier batch of the same "
+    text += (
+        f"job and seeds; both together, {told[2]}, tie with 256 robots), Spot after {told[3]} (256 "
+    )
+    text += (
+        "robots, KL 0.03); soonest at the level are 128 and 256 robots, after {:.2f} and {:.2f} M"
+    )
+    text = text.format(*(x.mean() / 1e6 for x in level.values()))
+    assert text in page
+
+
+def test_the_tables_of_best_are_those_of_its_runs():
+    """And the same jobs once more, to the level and, of `best`, to a walk."""
+    table, jobs = read("best")
+    shown = part("The older `best`, and PPO-16")
+    kinds = {"best": "best", "ppo-1024x24": "PPO, its settings, 24 rows", "ppo16": "PPO-16"}
+    robots = ROBOTS | {"anymal_c-exact": "ANYmal-C, exact task", "go1-exact": "Go1, exact task"}
+    for robot, title in robots.items():
+        for kind, called in kinds.items():
+            job = jobs[f"{robot}-{kind}"]
+            assert shown[f"{title}, {called}".replace("best", "`best`")] == row_of(table, job)
+        assert shown[f"of {table.best(job)}"] == head_of(table, job)
+    again = {
+        robot: [table.reached(table.seeds(jobs[f"{robot}-{kind}-2"]), 24).level for kind in kinds]
+        for robot in ROBOTS
+    }
+    means = {robot: [np.nanmean(x) / 1e6 for x in some] for robot, some in again.items()}
+    text = "are at 24 after {:.2f} (`best`), {:.2f} (PPO) and {:.2f} M steps (PPO-16) on ANYmal-B"
+    assert text.format(*means["anymal_b"]) in WORDS
+    assert ", {:.2f}, {:.2f} and {:.2f} (3 of 5 never) on Spot".format(*means["spot"]) in WORDS
+    later = [
+        table.reached(table.seeds(jobs[f"{robot}-best-2"]), 24).walks.mean() / 1e6
+        for robot in ROBOTS
+    ]
+    assert "Then `best` walks after {:.2f} and {:.2f} M".format(*later) in WORDS
+    never = [[int(np.isnan(x).sum()) for x in some] for some in again.values()]
+    assert never == [[0, 0, 0], [0, 0, 3]]
+    whole = {
+        name: np.nanmean(table.reached(table.seeds(job), table.walks.level(table.best(job))).level)
+        for name, job in jobs.items()
+    }
+    more = [whole[f"{robot}-ppo-1024x24"] / whole[f"{robot}-best"] for robot in robots]
+    assert f"It needs {min(more):.0f} to {max(more):.0f} times the steps of `best`" in WORDS
 
 
 def test_ppo_of_the_exact_task_is_that_of_21_less():
@@ -271,20 +369,86 @@ def test_ppo_of_the_exact_task_is_that_of_21_less():
     assert [int(np.isfinite(one.walks).sum()) for one in found] == [2, 2]
     (walks,) = {f"{np.nanmean(one.walks) / 1e6:.1f}" for one in found}
     assert f"of that PPO two of three on each robot ({walks} M)" in WORDS
-    assert "after {:.2f} and {:.2f}, PPO-16 after".format(*steps) in WORDS
+    text = "on the task of `best` needs {:.2f} and {:.2f} M (three tuning seeds, today's task)"
+    assert text.format(*steps) in WORDS.split("cd experiments/23_untuned")[0]
     assert "{:.2f} and {:.2f} M, 256 robots, three tuning seeds".format(*steps) in WORDS
 
 
-def test_what_lifted_feet_cost_is_as_21_less_says():
-    """Which the tests of 21_less hold to its runs: of Go1, Go2, ANYmal-C and -D the last two."""
-    page = " ".join((LESS / "task.md").read_text().split())
-    best = re.search(r"Steps of `best` to the level: (.*?) times those without", page)
-    ppo = re.search(r"needs ([\d.]+), ([\d.]+), ([\d.]+) and ([\d.]+) times\. So", page)
-    assert best and ppo
-    mine = re.findall(r"[\d.]+ \([\d.]+ to [\d.]+\)", best[1])
-    assert len(mine) == 4
-    text = "`best` needed {} and {} times the steps to the level on ANYmal-C and -D, PPO {} and {} times"
-    assert text.format(*mine[2:], *ppo.groups()[2:]) in WORDS
+def test_the_older_best_and_ppo_16_of_the_exact_task():
+    """To the level, those that walk, and how they end: `best` less PPO-16."""
+    table, jobs = read("best")
+    kinds = [(robot, kind) for robot in ("go1", "anymal_c") for kind in ("best", "ppo16")]
+    jobs = {key: jobs["{}-exact-{}".format(*key)] for key in kinds}
+    found = {
+        key: table.reached(table.seeds(job), table.walks.level(table.best(job)))
+        for key, job in jobs.items()
+    }
+    level = {key: np.nanmean(one.level) / 1e6 for key, one in found.items()}
+    walk = {key: one.walks[np.isfinite(one.walks)] / 1e6 for key, one in found.items()}
+    head = WORDS.split("cd experiments/23_untuned")[0]
+    text = f"is at 38 of 45 after {level['go1', 'best']:.2f} M steps and an ANYmal-C at 24 of 30 after "
+    assert text + f"{level['anymal_c', 'best']:.2f} M, means of five fresh seeds each" in head
+    text = f"PPO-16, the paper's, {level['go1', 'ppo16']:.1f} M and, of four of five seeds, "
+    assert text + f"{level['anymal_c', 'ppo16']:.1f} M" in head
+    never = [int(np.isnan(one.level).sum()) for one in found.values()]
+    assert never == [0, 0, 0, 1] and [len(walk[key]) for key in kinds] == [0, 4, 3, 2]
+    text = (
+        f"three ANYmal-C with `best` ({walk['anymal_c', 'best'].mean():.1f} M) and two with PPO-16 "
+    )
+    text += f"({walk['anymal_c', 'ppo16'].mean():.1f} M), no Go1 with `best` and four with PPO-16 "
+    assert text + f"({walk['go1', 'ppo16'].mean():.1f} M)" in head
+    end = table.seeds(jobs["go1", "ppo16"])[0][-1]["sim_steps"]
+    go1, anymal = (
+        table.factor(found[robot, "ppo16"].level, found[robot, "best"].level, end)
+        for robot in ("go1", "anymal_c")
+    )
+    value, low, high = (float(x) for x in re.findall(r"[\d.]+", go1))
+    least = float(anymal.removeprefix("at least "))
+    text = (
+        f"needs {value:.0f} (Go1; Fieller's 95 % {low:.0f} to {high:.0f}) and at least {least:.0f} "
+    )
+    assert text + "times the steps of `best`" in WORDS
+
+    def end_of(name, key):
+        return np.array(
+            [np.mean([row[name] for row in run[-3:]]) for run in table.seeds(jobs[key])]
+        )
+
+    g, c = (stats.difference(*(end_of("return", key) for key in kinds[k : k + 2])) for k in (0, 2))
+    text = f"ends {c.value:.1f} lower on ANYmal-C (Welch's 95 % {c.low:.1f} to {c.high:.1f}) and "
+    assert text + f"{g.value:.1f} on Go1 ({g.low:.1f} to {g.high:.1f})" in WORDS
+    falls = [100 * end_of("fall_rate", key) for key in kinds[:2]]
+    more = stats.difference(*falls)
+    text = f"fewer episodes: {falls[1].mean():.1f} %, `best` {falls[0].mean():.1f} % (difference "
+    assert text + f"{more.low:.1f} to {more.high:.1f})" in WORDS
+
+
+def test_the_table_of_two_cpu_cores_is_that_of_its_runs():
+    table, jobs = read("laptop")
+    shown, kinds = part("On a CPU"), {"`:laptop`": "", "without its tail": "-ppo"}
+    last, walked, apart = [], [], []
+    for title, kind in kinds.items():
+        job = jobs[f"spot-laptop{kind}"]
+        assert shown[f"Spot, {title}"] == ["3", *row_of(table, job)]
+        runs = table.seeds(job)
+        assert shown["seeds"] == head_of(table, job)
+        last.append(", ".join(f"{run[-1]['return']:.1f}" for run in runs))
+        walked.append(table.reached(runs, 24).walks)
+        apart.append(f"{(runs[0][1]['sim_steps'] - runs[0][0]['sim_steps']) / 1e6:.2f}")
+    assert f"by seed: Spot with the tail {last[0]}; PPO {last[1]}." in WORDS
+    assert "(returns count twice), every {} and {} M steps".format(*apart) in WORDS
+    assert [int(np.isfinite(x).sum()) for x in walked] == [3, 1]
+    end = runs[0][-1]["sim_steps"] / 1e6
+    text = f"fresh seeds of Spot walk, after {walked[0].mean() / 1e6:.2f} M, without its tail one of three "
+    assert text + f"by {end:.1f} M." in WORDS
+
+
+def test_episodes_of_today_are_as_long_as_the_page_says(monkeypatch):
+    monkeypatch.chdir(FOLDER)
+    names = ("anymal_b.py", "spot.py", "go1.py")
+    length = [config_lib.load(f"configs/{name}:best").task.episode_length / 50 for name in names]
+    assert length[0] == length[1]
+    assert f"lasted 5 s (today {length[1]:.1f}, of a Go1 {length[2]:.1f})" in WORDS
 
 
 def test_jobs_on_fresh_seeds_are_those_that_choose_takes(monkeypatch):
@@ -323,7 +487,7 @@ def test_jobs_on_fresh_seeds_are_those_that_choose_takes(monkeypatch):
         else:
             assert f"PPO's are {at[0]:.3f} M apart" in WORDS and np.allclose(np.diff(at), at[0])
             assert f"up to {at[-1]:.2f} M, where PPO ends" in WORDS
-            assert f"counts with {2 * at[-1]:.2f} M on both sides" in WORDS
+            assert f"counted with {2 * at[-1]:.2f} M on both sides" in WORDS
         assert line not in rest or all(field.startswith("run.") for field in fields)
 
 
@@ -344,7 +508,7 @@ def run_of(seed, level_at, walks_at, step=0.061, end=61):
 def test_the_rule_for_fresh_seeds_says_what_it_was_written_to_say():
     """By hand, of three seeds each: a difference, none, a seed that never walks (twice the end, whatever is
     taken off), and `best` after PPO's end, which counts for nothing."""
-    fresh = script("23_untuned/fresh")
+    fresh, _ = fresh_rule()
     late = [run_of(s, 20 + s, 30 + 5 * s) for s in range(3)]
     soon = [run_of(s, 4 + s, 8 + s, end=99) for s in range(3)]
     for run in soon:
@@ -376,7 +540,7 @@ def test_the_rule_for_fresh_seeds_says_what_it_was_written_to_say():
     assert lines[7] == "  no difference in the mean is shown"
     assert lines[8].startswith("Spot, to the level: PPO 0.30 M, `best` 0.")
     assert lines[11] == "  no saving to the level is shown" == "  " + fresh.NOT_SHOWN["level"]
-    page = WORDS.split("## The rule for fresh seeds")[1]
+    page = WORDS.split("## The rule for fresh seeds ")[1].split(" ## ")[0]
     every = [fresh.verdict(goal, x) for goal in ("level", "walks") for x in (-1, 2)]
     for words in [*every, *fresh.NOT_SHOWN.values()]:
         assert f'"{words}"' in page, words
