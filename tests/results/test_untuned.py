@@ -150,6 +150,33 @@ def test_the_verdict_on_fresh_seeds_is_what_the_rule_says():
     )
     assert text in head
     assert f"a seed that never walks counts with {2 * level_b.end / 1e6:.2f} M steps:" in WORDS
+    times = [fresh.around(one) for one in (level_b, level_s)]
+    more = [fresh.around(one) for one in (walk_b, walk_s)]
+    others = {
+        name: " ".join((EXPERIMENTS.parent / name).read_text().split())
+        for name in (
+            "README.md",
+            "docs/results.md",
+            "experiments/README.md",
+            "experiments/21_less/ppo.md",
+        )
+    }
+    text = "ANYmal-B and Spot, PPO needs {:.1f} and {:.1f} times the steps to"
+    for name in ("README.md", "docs/results.md"):
+        assert text.format(*(one.value for one in times)) in others[name]
+    around = ", ".join(f"{one.low:.2f} to {one.high:.2f}" for one in times)
+    text = "({}), and {:.1f} and {:.1f} M more to a walk (ten fresh seeds each"
+    assert text.format(around, *(one.value / 1e6 for one in more)) in others["docs/results.md"]
+    text = "needs {:.2f} and {:.2f} times its steps to the level ({}), and to a walk {:.2f} M and {:.2f} M"
+    text = text.format(*(one.value for one in times), around, *(one.value / 1e6 for one in more))
+    text += " more ({}; ten".format(
+        ", ".join(f"{x.low / 1e6:.2f} to {x.high / 1e6:.2f}" for x in more)
+    )
+    assert text in others["experiments/README.md"]
+    text = f"need {ppo[1]} (one of ten never walks and counts with twice its run) and {ppo[3]} M to a walk, "
+    assert (
+        text + f"and {ppo[0]} and {ppo[2]} M to the level." in others["experiments/21_less/ppo.md"]
+    )
     tuned = part("PPO tuned on these robots")
     was = [tuned[f"{name}, KL 0.03"][1] for name in ("ANYmal-B, 512 robots", "Spot, 256 robots")]
     text = (
