@@ -1,11 +1,11 @@
 """What rules that were written before their runs say of these: the numbers that they ask for, and a verdict.
 
-    python experiments/27_few/rules.py FOLDER_OR_PACKED_FILE [--batch BATCH]
+    python experiments/27_few/rules.py
 
-Of the jobs of jobs.txt that are there, whole: `default-`, whether 256 robots become the default (README.md;
-its seconds: `table.py --seconds`); `more-spread-` beside `more-few-`, whether spread commands become part of
-`few` (parts.md); `control-recent-` beside `part-whole-`, whether fresh seeds shall decide on rows that weigh
-less with age (README.md). A rule is open until all of its runs are there, at one commit.
+Of results/gpu.csv.xz: batch `default`, whether 256 robots become the default (README.md; its seconds:
+`table.py --seconds`); `more`, whether spread commands become part of `few`; `recent`, whether fresh seeds
+shall decide on rows that weigh less with age (parts.md). A rule is open until all of its runs are there, at
+one commit.
 """
 
 import csv
@@ -21,6 +21,7 @@ few = importlib.import_module("experiments.27_few.table")
 runs = few.runs
 
 ROBOTS = {"g": "go1", "h": "go2", "c": "anymal_c", "d": "anymal_d"}
+RUNS = Path(__file__).parent / "results/gpu.csv.xz"
 HEADLINE = Path(__file__).parents[1] / "21_less/results/headline.csv.xz"
 NUMBERS = Path(__file__).parents[2] / "docs/numbers.csv"
 LAST = 4  # evaluations at the end
@@ -30,16 +31,13 @@ FALLS, ERROR = 0.005, 0.02  # share of episodes; m/s
 
 
 def main():
-    parser = paper.parser(__doc__)
-    parser.add_argument("path", type=Path)
-    parser.add_argument("--batch")
-    args = parser.parse_args()
-    jobs = few.read(args.path, args.batch)
+    paper.parser(__doc__).parse_args()
     with NUMBERS.open(newline="") as file:
         numbers = {row["name"]: row["value"] for row in csv.DictReader(file)}
-    print(*default(jobs, runs.read(HEADLINE), numbers), "", sep="\n")
-    print(*pairs(jobs, "more-spread", "more-few", fewer_falls, 60, walking=True), "", sep="\n")
-    print(*pairs(jobs, "control-recent", "part-whole", sooner, 20), sep="\n")
+    more, recent = few.read(RUNS, "more"), few.read(RUNS, "recent")
+    print(*default(few.read(RUNS, "default"), runs.read(HEADLINE), numbers), "", sep="\n")
+    print(*pairs(more, "more-spread", "more-few", fewer_falls, 60, walking=True), "", sep="\n")
+    print(*pairs(recent, "control-recent", "part-whole", sooner, 20), sep="\n")
 
 
 def default(jobs: dict, headline: dict, numbers: dict[str, str]) -> list[str]:
@@ -103,9 +101,7 @@ def pairs(jobs: dict, one: str, base: str, measure, count: int, walking: bool = 
         for what in ("seed", "commit"):
             found = [[run[0].get(what, "") for run in some] for some in both]
             if found[0] != found[1]:
-                raise SystemExit(
-                    f"{' and '.join(names)} have another {what}, expected pairs; give --batch"
-                )
+                raise SystemExit(f"{' and '.join(names)} have another {what}, expected pairs")
         differ, what = measure(*both)
         level = few.level_of(jobs[names[0]])
         walks = [int(np.isfinite(runs.reached(some, level).walks).sum()) for some in both]
