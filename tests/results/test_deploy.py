@@ -185,10 +185,17 @@ def test_the_table_of_ppo_on_hardware_and_the_exact_task_is_that_of_its_runs():
     page = " ".join((DEPLOY / "README.md").read_text().split())
     results = " ".join((ROOT / "docs/results.md").read_text().split())
     early = most["g"][0], most["c"][0], most["g"][1], most["c"][1]
-    text = "a Go1 returns {:.1f} and an ANYmal-C {:.1f}, with PPO at most {:.1f} and {:.1f}, with 256, 512"
-    assert text.format(*early) in page
-    text = "a Go1 returns {:.1f} and an ANYmal-C {:.1f}, with PPO alone at most {:.1f} and {:.1f}. Later"
-    assert text.format(*early) in results
+    tuning = [fewer_at(f"fewer-deploy-{x}", 1.769472) for x in "gc"]  # the evaluation nearest to it
+    means = [x.mean() for x in tuning]
+    fresh = "a Go1 returns {:.1f} and an ANYmal-C {:.1f} (five fresh seeds; three tuning seeds {:.1f} and"
+    fresh += " {:.1f}"
+    text = (
+        fresh
+        + ", single ANYmal-C {:.1f} to {:.1f}), with PPO at most {:.1f} and {:.1f}, with 256, 512"
+    )
+    assert text.format(*early[:2], *means, min(tuning[1]), max(tuning[1]), *early[2:]) in page
+    text = fresh + "), with PPO alone at most {:.1f} and {:.1f}. Later"
+    assert text.format(*early[:2], *means, *early[2:]) in results
     assert (
         "is there after {:.1f} and {:.1f} (256 robots, two of three seeds each)".format(*ppo)
         in page
@@ -767,10 +774,8 @@ def test_what_fewer_robots_and_longer_tails_are_worth_is_that_of_their_runs():
     assert (
         "These are at 35 after {:.1f} and {:.1f} M, `deploy` after {:.1f}.".format(*means) in text
     )
-    told = (
-        "with tails to iteration 400 it is at 35 after {:.1f} M, with 1024 robots and tails to 600"
-    )
-    told += " after {:.1f}, `deploy` after {:.1f}."
+    told = "with tails to iteration 400 it is at 35 after {0:.1f} M (`deploy` {2:.1f}), with 1024 robots as"
+    told += " well, and tails to 600, after {1:.1f}."
     assert told.format(*means) in short
     seventeen = [fewer_first(x, 17) for x in (anymal, brief, "fewer-4096-tails-c")]
     assert not np.isnan(seventeen).any()

@@ -517,8 +517,8 @@ def test_the_page_says_how_the_best_of_other_methods_on_fresh_seeds_are_beside_f
     )
     told = told.format(need.mean(), need.mean() / 3)
     told += f"robot's time (mean of three fresh seeds, the last {need.max():.1f}). `few` is there after "
-    told += f"{few_38.mean() / 1e3:.1f} (thirty fresh seeds), so CrossQ needs {times.value:.1f} times its steps "
-    told += "(95 % by Fieller, three and thirty seeds: {:.1f} to {:.1f})".format(*times[1:])
+    told += f"{few_38.mean() / 1e3:.1f} (thirty fresh seeds), so CrossQ needs {times.value:.1f} times its "
+    told += "steps (95 % by Fieller, three and thirty seeds: {:.1f} to {:.1f})".format(*times[1:])
     assert told in head and (len(need), len(few_38)) == (3, 30)
     assert "at 38 after {:.1f}, {:.1f} and {:.1f} k".format(*sorted(need)) in words
 
@@ -527,8 +527,8 @@ def test_the_page_says_how_the_best_of_other_methods_on_fresh_seeds_are_beside_f
 
     end, few_end, sac_end = ends(crossq.seeds), ends(few), ends(sac.seeds)
     assert not ends(crossq.seeds, "fall_rate").any()
-    told = "CrossQ ends at {:.1f} after {:.0f} k, with no fall in 300 episodes. `few` has {:.1f} after "
-    told += "{:.0f} k."
+    told = "CrossQ ends at {:.1f} after {:.0f} k, with no fall in its last 300 episodes. `few` has {:.1f}"
+    told += " after {:.0f} k."
     step, few_step = (run[0][-1]["sim_steps"] / 1e3 for run in (crossq.seeds, few))
     assert told.format(end.mean(), step, few_end.mean(), few_step) in head
     early = [np.array([table.runs.first(run, 30) for run in one.seeds]) for one in (crossq, sac)]
@@ -545,7 +545,11 @@ def test_the_page_says_how_the_best_of_other_methods_on_fresh_seeds_are_beside_f
     told = "ends at {:.0f} to {:.0f} in five settings, after {:.0f} to {:.0f} k (two tuning seeds each)"
     assert told.format(min(means), max(means), min(stops), max(stops)) in head and len(plain) == 5
     walk = table.runs.reached(crossq.seeds, 38).walks / 1e3
-    assert f"all three walk, from {min(walk):.0f} to {max(walk):.0f} k on" in words
+    told = f"all three walk, from {min(walk):.0f} to {max(walk):.0f} k on; the last by its last two"
+    rows = crossq.seeds[int(np.argmax(walk))]
+    assert [row["sim_steps"] / 1e3 >= max(walk) for row in rows[-3:]] == [False, True, True]
+    fell = [f"{100 * rows[k]['fall_rate']:.0f}" for k in (-5, -3)]
+    assert f"{told} evaluations alone, after falls of {fell[0]} and {fell[1]} % shortly" in words
     # how often
     often = [np.diff([row["sim_steps"] for row in runs[0]]) / 1e3 for runs in (crossq.seeds, few)]
     assert all(np.ptp(gap) == 0 for gap in often)
