@@ -9,10 +9,12 @@ third update. The task, its resets and the evaluations are those of sac.py, and 
 A control step adds a transition of each robot, and is followed by `--updates` gradient steps of `--batch`
 transitions: `--updates` = `--robots` is one for each transition.
 
-`--mirror`: half of a batch is mirrored, left for right, as `best` has a policy and a model that treat both
-alike. Everything between two evaluations is one compiled program, of `--num-seeds` seeds at once, `[S]`. A
-gradient step is many small kernels, so a second seed should cost little (not measured). Seconds are of all
-seeds.
+`--mirror`: half of a batch is mirrored, left for right. `--symmetric`: actor and critics treat left and right
+alike, as policy and model of `best` do: each gives the mean of what it says of its input and, mirrored back,
+of the mirror image, which go through it as one batch, so an update costs nearly twice as much.
+
+Everything between two evaluations is one compiled program, of `--num-seeds` seeds at once, `[S]`. A gradient
+step is many small kernels, so a second seed should cost little (not measured). Seconds are of all seeds.
 """
 
 import argparse
@@ -111,7 +113,8 @@ class Method(NamedTuple):
     reward_scaling: float
     batch: int
     updates: int
-    mirrors: Any  # of obs and action, or None
+    mirrors: Any  # of obs and action, for half of a batch, or None
+    alike: Any  # of obs and action, for the networks, or None
 
 
 ADAM = optax.adam(RATE, b1=0.5)
@@ -134,7 +137,9 @@ def main():
     parser.add_argument("--reward-scaling", type=float, default=40.0)
     parser.add_argument("--gain", type=float, default=1.5)
     parser.add_argument("--width", type=int, default=1024, help="of the critics' two layers")
-    parser.add_argument("--mirror", action="store_true")
+    sides = parser.add_mutually_exclusive_group()
+    sides.add_argument("--mirror", action="store_true")
+    sides.add_argument("--symmetric", action="store_true")
     args = parser.parse_args()
     devices.own_process()
     args.out.parent.mkdir(parents=True, exist_ok=True)
@@ -154,6 +159,7 @@ def train(args: argparse.Namespace) -> None:
         batch=args.batch,
         updates=args.updates,
         mirrors=robots.mirror if args.mirror else None,
+        alike=robots.mirror if args.symmetric else None,
     )
     seeds = range(args.seed, args.seed + args.num_seeds)
     keys = split(jnp.stack([jax.random.PRNGKey(seed) for seed in seeds]), 4)
@@ -261,7 +267,7 @@ def sample(method: Method, ring: Transitions, filled, key) -> Transitions:
 
 def act(method: Method, actor, obs, key, train: bool):
     """`((action, log_prob), statistics)`: a Gaussian's sample through a tanh."""
-    out, stats = method.actor.apply(actor, obs, train, mutable=["stats"])
+    out, stats = policy(method, actor, obs, train)
     mean, log_std = jnp.split(out, 2, -1)
     log_std = LOW + 0.5 * (HIGH - LOW) * (jnp.tanh(log_std) + 1)
     noise = jax.random.normal(key, mean.shape)
@@ -271,11 +277,37 @@ def act(method: Method, actor, obs, key, train: bool):
     return (jnp.tanh(raw), log_prob.sum(-1)), stats
 
 
+def policy(method: Method, actor, obs, train: bool):
+    """`(mean and spread [B, 2 A], statistics)` before the tanh."""
+    if method.alike is None:
+        return method.actor.apply(actor, obs, train, mutable=["stats"])
+    of_obs, of_action = method.alike
+    # a mean, which changes its sign, and a spread, which does not
+    of_out = symmetry.beside(of_action, of_action._replace(sign=abs(of_action.sign)))
+    return said(method.actor, actor, obs, (of_obs, of_out), train)
+
+
 def values(method: Method, critics, obs, action, train: bool):
     """`(q [2, B], statistics)` of both critics."""
     x = jnp.concatenate([obs, action], -1)
-    q, stats = jax.vmap(lambda c: method.critic.apply(c, x, train, mutable=["stats"]))(critics)
+
+    def one(critic):
+        if method.alike is None:
+            return method.critic.apply(critic, x, train, mutable=["stats"])
+        mirrors = symmetry.beside(*method.alike), symmetry.unchanged(1)
+        return said(method.critic, critic, x, mirrors, train)
+
+    q, stats = jax.vmap(one)(critics)
     return q[..., 0], stats
+
+
+def said(network: Network, variables, x, mirrors, train: bool):
+    """`(outputs, statistics)`: the mean of what a network says of `x` and, mirrored back, of its image."""
+    inputs, outputs = mirrors
+    both = jnp.concatenate([x, symmetry.vector(inputs, x)])
+    out, stats = network.apply(variables, both, train, mutable=["stats"])
+    one, image = jnp.split(out, 2)
+    return (one + symmetry.vector(outputs, image)) / 2, stats
 
 
 def learn(method: Method, learners: Learner, batches: Transitions, keys) -> Learner:
@@ -343,7 +375,7 @@ def evaluate(robots, method: Method, learners: Learner, keys):
     ones = jnp.ones(len(state.obs))
 
     def mean_action(actor, obs):
-        out: Any = method.actor.apply(actor, obs, False)
+        out, _ = policy(method, actor, obs, False)
         return jnp.tanh(jnp.split(out, 2, -1)[0])
 
     def step(carry, _):

@@ -884,6 +884,49 @@ def test_symmetric_sac_treats_left_and_right_alike():
     assert np.abs(before[0] - logits).max() > 0.01
 
 
+def test_symmetric_crossq_treats_left_and_right_alike():
+    """As SAC above, evaluated and in training, where a batch and its image have the same moments; without
+    `--symmetric` it does not, and is what flax's module says."""
+    crossq, sac = script("24_off_policy/crossq"), script("24_off_policy/sac")
+    args = types.SimpleNamespace(config="go1:few", set=["physics.impl=c"], gain=1.5)
+    of_obs, of_action = mirrors = sac.robots(args)[0].mirror
+    rng = np.random.default_rng(0)
+    obs, action = rng.normal(size=(6, 48)), rng.uniform(-1, 1, (6, 12))
+    image = obs[:, of_obs.index] * of_obs.sign, action[:, of_action.index] * of_action.sign
+    actor, critic = crossq.Network((8,), 24), crossq.Network((8,), 1)
+    about = dict(actor=actor, critic=critic)
+    method, plain = (types.SimpleNamespace(alike=x, **about) for x in (mirrors, None))
+    learner = crossq.start(
+        types.SimpleNamespace(
+            robots=types.SimpleNamespace(observation_size=48, action_size=12), **about
+        ),
+        jax.random.key(0),
+    )
+    for train in (False, True):
+        (out, stats), (other, again) = (
+            crossq.policy(method, learner.actor, jnp.asarray(x), train) for x in (obs, image[0])
+        )
+        out, other = np.asarray(out), np.asarray(other)
+        mirrored = out[:, :12][:, of_action.index] * of_action.sign
+        np.testing.assert_allclose(other[:, :12], mirrored, atol=1e-5)
+        np.testing.assert_allclose(other[:, 12:], out[:, 12:][:, of_action.index], atol=1e-5)
+        jax.tree.map(lambda x, y: np.testing.assert_allclose(x, y, atol=1e-5), stats, again)
+        assert (
+            jax.tree.leaves(stats)[0] != jax.tree.leaves(learner.actor["stats"])[0]
+        ).any() == train
+        (q, _), (q_image, _) = (
+            crossq.values(method, learner.critics, *map(jnp.asarray, x), train)
+            for x in ((obs, action), image)
+        )
+        np.testing.assert_allclose(q, q_image, atol=1e-5)
+        assert np.ptp(out) > 0.1 and np.ptp(q[0]) > 0.01 and q.shape == (2, 6)
+    one, other = (
+        crossq.policy(plain, learner.actor, jnp.asarray(x), False)[0] for x in (obs, image[0])
+    )
+    np.testing.assert_array_equal(one, actor.apply(learner.actor, jnp.asarray(obs), False))
+    assert np.abs(other[:, 12:] - one[:, 12:][:, of_action.index]).max() > 0.05
+
+
 def test_settings_of_other_methods_for_few_robots_are_flags_of_theirs_and_runs_are_whole(
     tmp_path, monkeypatch
 ):
@@ -997,7 +1040,7 @@ def test_crossq_renormalises_batches_and_knows_the_probability_of_its_actions():
     trained, _ = norm.apply(late, x, True, mutable=["stats"])
     np.testing.assert_allclose(trained, norm.apply(late, x, False), atol=1e-4)
 
-    method = types.SimpleNamespace(actor=crossq.Network((8,), 4))
+    method = types.SimpleNamespace(actor=crossq.Network((8,), 4), alike=None)
     obs, key = x[:6], jax.random.key(1)
     actor = method.actor.init(jax.random.key(2), obs, False)
     (action, log_prob), _ = crossq.act(method, actor, obs, key, train=False)

@@ -1,0 +1,82 @@
+"""What the rule for CrossQ's fresh seeds says of the jobs of fresh.txt (README.md), printed with its numbers.
+
+    python experiments/24_off_policy/fresh.py FOLDER
+
+FOLDER has what 27_few/peers.py wrote. Of each setting: thousand steps to 38, beside `best` or `few`; how many
+times their steps, with Fieller's 95 %; falls and return in the last evaluation.
+"""
+
+import importlib
+from pathlib import Path
+
+import numpy as np
+
+from dynappo.policy import walks
+from experiments import paper, stats
+
+peers = importlib.import_module("experiments.27_few.peers_table")
+few = importlib.import_module("experiments.27_few.table")
+
+HERE = Path(__file__).parent
+LEVEL = walks.level(45)
+BEFORE = HERE / "results/crossq.csv"  # three more seeds of crossq-256, to 0.41 M steps
+SETTINGS = {  # job of fresh.txt -> seeds that the rule asks for, with those of BEFORE; beside what
+    "crossq-256": (8, "best"),
+    "crossq-256-symmetric": (5, "best"),
+    "crossq-64-symmetric": (3, "few"),
+}
+
+
+def main():
+    parser = paper.parser(__doc__)
+    parser.add_argument("folder", type=Path)
+    args = parser.parse_args()
+    for name in SETTINGS:
+        print(told(name, runs_of(args.folder, name), beside(SETTINGS[name][1])))
+
+
+def runs_of(folder: Path, name: str) -> list:
+    """Rows of each seed; a file that was cut off does not count."""
+    files = [path for path in folder.glob(f"{name}-*.csv") if path.stem.split("-")[-1].isdigit()]
+    files = [path for path in files if path.stem.rstrip("-0123456789") == name.rstrip("-0123456789")]
+    found = [run for path in sorted(files) for run in few.runs.seeds(peers.of_run(path))]
+    if found and name == "crossq-256":
+        with BEFORE.open(newline="") as file:
+            found += few.runs.seeds(few.runs.rows(file))
+    return found
+
+
+def beside(kind: str) -> np.ndarray:
+    """Steps to the level of the ten seeds of `best`, or the thirty of `few`, on a Go1."""
+    if kind == "few":
+        rows = few.fresh(HERE.parent / "27_few/results/gpu.csv.xz")["Go1"]
+    else:
+        rows = few.runs.read(HERE.parent / "21_less/results/headline.csv.xz")["best-g"]
+    return few.runs.reached(few.runs.seeds(rows), LEVEL).level
+
+
+def told(name: str, seeds: list, base: np.ndarray) -> str:
+    """The setting's line; that it is open where seeds are missing."""
+    count, kind = SETTINGS[name]
+    if len(seeds) != count:
+        return f"{name}: {len(seeds)} of {count} seeds, so the rule is open"
+    level = few.runs.reached(seeds, LEVEL).level
+    never = np.isnan(level)
+    level = np.where(never, [2 * run[-1]["sim_steps"] for run in seeds], level)
+    found = stats.ratio(level, base)
+    end = [np.mean([run[-1][x] for run in seeds]) for x in ("return", "fall_rate")]
+    line = f"{name}, {count} seeds: first at {LEVEL:g} after {level.mean() / 1e3:.1f} k steps (last"
+    line += f" {level.max() / 1e3:.1f})" + f", {never.sum()} never" * bool(never.any())
+    line += f"; ends at {end[0]:.1f}, {100 * end[1]:.1f} % falls\n  `{kind}` {base.mean() / 1e3:.1f} k:"
+    return f"{line} {found.value:.2f} times its steps ({found.low:.2f} to {found.high:.2f}): {verdict(found, kind)}"
+
+
+def verdict(found: stats.Around, kind: str) -> str:
+    """As the page will say it."""
+    if found.low > 1:
+        return "CrossQ needs so many times the steps"
+    return "CrossQ needs fewer" if found.high < 1 else f"no saving of `{kind}` is shown"
+
+
+if __name__ == "__main__":
+    main()
