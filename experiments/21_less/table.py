@@ -108,7 +108,7 @@ def read(path: Path, batch: str | None = None) -> dict[str, list[dict]]:
         return {file.stem: rows(file.open(newline="")) for file in sorted(path.glob("*.csv"))}
     jobs, first = {}, {}
     for row in rows(lzma.open(path, "rt", newline="")):
-        if batch not in (None, row["batch"]):
+        if batch not in (None, row.get("batch")):  # seconds.csv.xz has none
             continue
         name, settings = row["name"], [f for f in row["job"].split() if not f.startswith("run.")]
         if first.setdefault(name, settings) != settings:
