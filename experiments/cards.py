@@ -137,10 +137,11 @@ def packed(out: Path) -> None:
 
 
 def pack(out: Path) -> None:
-    """OUT_FOLDER.tar.xz, whole or not at all; commands may write into the folder meanwhile."""
+    """OUT_FOLDER.tar.xz, whole or not at all; commands may write into the folder meanwhile. Policies (.npz)
+    are left out: half a megabyte each, they would be too much to send every minute."""
     whole = Path(f"{out}.tar.xz.new")
     with tarfile.open(whole, "w:xz", preset=3) as tar:
-        for path in [out, *sorted(out.rglob("*"))]:
+        for path in [out, *sorted(path for path in out.rglob("*") if path.suffix != ".npz")]:
             with contextlib.suppress(FileNotFoundError):  # it was renamed since it was listed
                 info = tar.gettarinfo(path, str(path.relative_to(out.parent)))
                 data = path.read_bytes() if info.isreg() else b""

@@ -7,6 +7,7 @@ times their steps, with Fieller's 95 %; falls and return in the last evaluation.
 """
 
 import importlib
+import re
 from pathlib import Path
 
 import numpy as np
@@ -36,10 +37,9 @@ def main():
 
 
 def runs_of(folder: Path, name: str) -> list:
-    """Rows of each seed; a file that was cut off does not count."""
-    files = [path for path in folder.glob(f"{name}-*.csv") if path.stem.split("-")[-1].isdigit()]
-    files = [path for path in files if path.stem.rstrip("-0123456789") == name.rstrip("-0123456789")]
-    found = [run for path in sorted(files) for run in few.runs.seeds(peers.of_run(path))]
+    """Rows of each seed: of NAME-103-107.csv; of a run that was cut off there is no such file."""
+    files = [x for x in sorted(folder.glob("*.csv")) if re.fullmatch(rf"{name}-\d+-\d+", x.stem)]
+    found = [run for path in files for run in few.runs.seeds(peers.of_run(path))]
     if found and name == "crossq-256":
         with BEFORE.open(newline="") as file:
             found += few.runs.seeds(few.runs.rows(file))
@@ -67,8 +67,11 @@ def told(name: str, seeds: list, base: np.ndarray) -> str:
     end = [np.mean([run[-1][x] for run in seeds]) for x in ("return", "fall_rate")]
     line = f"{name}, {count} seeds: first at {LEVEL:g} after {level.mean() / 1e3:.1f} k steps (last"
     line += f" {level.max() / 1e3:.1f})" + f", {never.sum()} never" * bool(never.any())
-    line += f"; ends at {end[0]:.1f}, {100 * end[1]:.1f} % falls\n  `{kind}` {base.mean() / 1e3:.1f} k:"
-    return f"{line} {found.value:.2f} times its steps ({found.low:.2f} to {found.high:.2f}): {verdict(found, kind)}"
+    line += (
+        f"; ends at {end[0]:.1f}, {100 * end[1]:.1f} % falls\n  `{kind}` {base.mean() / 1e3:.1f} k:"
+    )
+    line += f" {found.value:.2f} times its steps ({found.low:.2f} to {found.high:.2f})"
+    return f"{line}: {verdict(found, kind)}"
 
 
 def verdict(found: stats.Around, kind: str) -> str:

@@ -118,7 +118,7 @@ def test_a_program_that_is_none_leaves_the_lanes_other_commands_and_the_packed_f
     tmp_path, monkeypatch
 ):
     plan, out = tmp_path / "plan.txt", tmp_path / "out"
-    plan.write_text("a 0a 9 no-such-program\na 0a 9 touch OUT/second\n")
+    plan.write_text("a 0a 9 no-such-program\na 0a 9 touch OUT/second OUT/a.0.npz\n")
     monkeypatch.setattr(sys, "argv", ["cards.py", str(out), str(plan), "a"])
     cards.main()
     assert "no-such-program: has not run: [Errno 2]" in (out / "0a.log").read_text()

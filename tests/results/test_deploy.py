@@ -764,10 +764,11 @@ def test_what_fewer_robots_and_longer_tails_are_worth_is_that_of_their_runs():
     (first, *_), (second, *_) = (
         gap(x, today, at) for x, at in zip((more, tails), far, strict=True)
     )
-    told = "With tails to iteration 400 a Go1 returns {:.1f} more after {:.1f} M steps (95 % from {:.1f} to"
-    told += " {:.1f})."
+    told = "With tails to iteration 400 a Go1 returns {:.1f} more than `deploy` at its last evaluation, after"
+    told += " {:.1f} M steps (95 % from {:.1f} to {:.1f})."
     assert told.format(first.value, far[0], *first[1:]) in text
-    told = "With 1024 robots and tails to 600 it returns {:.1f} more after {:.1f} M ({:.1f} to {:.1f})."
+    told = "With 1024 robots and tails to 600 it returns {:.1f} more than `deploy` after as many steps,"
+    told += " {:.1f} M ({:.1f} to {:.1f})."
     assert told.format(second.value, far[1], *second[1:]) in text
     firsts = [fewer_first(x, 35) for x in (more, tails, today)]
     assert not np.isnan(firsts).any()
@@ -806,8 +807,12 @@ def test_what_fewer_robots_and_longer_tails_are_worth_is_that_of_their_runs():
     }
     (apart,) = (x / 1e6 for x in apart)
     assert f"After iteration 150 those of `deploy` are {apart:.2f} M steps apart" in text
-    assert "with 4096 robots are the same run of each seed until iteration 150, where their" in text
-    assert "so are `-tails` and `-always` until 600." in text
+    assert (
+        "the two with 4096 robots until iteration 150, where their numbers are equal, and" in text
+    )
+    assert '"1024, to 600" and "1024, always" until 600.' in text
+    often = [re.search(r"eval_every=(\d+)", fewer(x)[0][0]["job"])[1] for x in (tails, always)]
+    assert "evaluated every {} and every {} iterations".format(*often) in text
     ratios = [stats.ratio(firsts[2], firsts[k]) for k in (1, 0)]
     less_ = [(firsts[2].mean() - apart) / firsts[k].mean() for k in (1, 0)]
     told = "To 35 it needs {:.1f} times the steps of 1024 robots with tails to 600 ({:.1f} to {:.1f}) and"
@@ -965,14 +970,17 @@ def test_jobs_of_the_rule_for_fresh_seeds_for_hardware_are_as_the_page_says():
     }
     assert all(len(x) == 1 for x in ends.values())
     ends = {kind: f"{x.pop():.1f} M" for kind, x in ends.items()}
-    assert f"of `deploy` to its end ({ends['fresh-deploy']})" in text
-    assert (
-        f"of 4096 robots with tails to 400 of 600 iterations (`fresh-4096`, {ends['fresh-4096']})"
-        in text
+    told = (
+        f"`deploy` runs to its end ({ends['fresh-deploy']}), 4096 robots have tails to 400 of 600"
     )
-    assert f"of 1024 with tails to 600 of 1400 (`fresh-1024`, {ends['fresh-1024']})" in text
+    told += f" iterations (`fresh-4096`, {ends['fresh-4096']}), 1024 have tails to 600 of 1400"
+    assert f"{told} (`fresh-1024`, {ends['fresh-1024']})." in text
     assert "**The rule**, set on 2026-11-29 before any of these:" in text
-    assert "seeds (750 to 754) of each" in text and 3 * 200 == 600 and "these 600 episodes" in text
+    assert (
+        "five seeds, 750 to 754, of each" in text
+        and 3 * 200 == 600
+        and "these 600 episodes" in text
+    )
     for file in ("deploy", "tuning", "fewer"):
         for (_, name), job in packed(file).items():
             assert ":deploy" not in next(iter(job.values()))[0]["job"] or not {*job} & {

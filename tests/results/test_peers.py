@@ -853,6 +853,69 @@ def test_peers_have_the_task_of_a_config():
     assert after.reward.shape == after.done.shape == after.metrics["falls"].shape == (3,)
 
 
+def test_jobs_of_crossq_on_fresh_seeds_are_those_that_ran_with_symmetric_networks():
+    """24_off_policy/fresh.txt: longer, or symmetric in place of mirrored; and the seeds of the page's rule
+    are those that next.txt asks for."""
+    jobs = paper.jobs(EXPERIMENTS / "24_off_policy/fresh.txt")
+    ran = paper.jobs(EXPERIMENTS / "24_off_policy/jobs.txt")["crossq"]
+    longer = ran.replace("--steps 409600 --evaluations 16", "--steps 614400 --evaluations 24")
+    few = paper.jobs(EXPERIMENTS / "27_few/peers_tune.txt")["crossq-gamma97"]
+    assert jobs == {
+        "crossq-256": longer,
+        "crossq-256-symmetric": longer.replace("--mirror", "--symmetric"),
+        "crossq-64-symmetric": few.replace("--mirror", "--symmetric"),
+    }
+    assert longer != ran and few.count("--mirror") == 1
+    words = " ".join((EXPERIMENTS / "24_off_policy/README.md").read_text().split())
+    assert (
+        "five seeds each, 103 to 107, to 0.61 M steps; with 64 robots and gamma 0.97 three, 103"
+        in words
+    )
+
+
+def test_the_rule_for_crossq_on_fresh_seeds_says_what_it_was_written_to_say(
+    tmp_path, monkeypatch, capsys
+):
+    """Synthetic runs by hand: at 38 after 100 and 200 k are 150; a seed that never is counts twice."""
+    fresh = script("24_off_policy/fresh")
+
+    def write(name, levels, end=400e3):
+        rows = [
+            f"{seed},{steps},{20 if steps < level else 40},0.01\n"
+            for seed, level in enumerate(levels)
+            for steps in (1e3, 100e3, 200e3, end)
+        ]
+        (tmp_path / name).write_text("seed,sim_steps,return,fall_rate\n" + "".join(rows))
+
+    def said(base):
+        monkeypatch.setattr(fresh, "beside", lambda kind: base)
+        monkeypatch.setattr(sys, "argv", ["fresh.py", str(tmp_path)])
+        fresh.main()
+        return capsys.readouterr().out.splitlines()
+
+    base = np.linspace(90e3, 110e3, 10)
+    assert all(line.endswith("seeds, so the rule is open") for line in said(base))
+    write("crossq-256-symmetric-103-107.csv", [100e3, 100e3, 200e3, 200e3, 1e9])
+    write("crossq-256-103-107.csv.part", [100e3] * 5)
+    write("crossq-64-symmetric-103-105.csv", [1e3] * 3)
+    first, line, beside, few, its = said(base)
+    assert first == "crossq-256: 0 of 8 seeds, so the rule is open"
+    told = "crossq-256-symmetric, 5 seeds: first at 38 after 280.0 k steps (last 800.0), 1 never; ends at"
+    assert line == told + " 36.0, 1.0 % falls"
+    assert beside.endswith("no saving of `best` is shown") and "2.80 times its steps" in beside
+    assert few.startswith("crossq-64-symmetric, 3 seeds: first at 38 after 1.0 k")
+    assert its.endswith(": CrossQ needs fewer")
+    write("crossq-256-symmetric-103-107.csv", [200e3] * 4 + [400e3])
+    *_, line, _, _ = said(base)
+    assert line.endswith("CrossQ needs so many times the steps") and " 2.40 times" in line
+    write("crossq-256-103-107.csv", [200e3] * 5)
+    assert said(base)[0].startswith("crossq-256, 8 seeds: first at 38 after 2")
+    known = fresh.runs_of(tmp_path, "crossq-256")
+    assert [run[0]["seed"] for run in known] == [0, 1, 2, 3, 4, 100, 101, 102]
+    monkeypatch.undo()
+    assert len(fresh.beside("best")) == 10 and len(fresh.beside("few")) == 30
+
+
 def test_symmetric_sac_treats_left_and_right_alike():
     """The mirrored observation has the mirrored mean, the spread of the other side, and the same values."""
     sac = script("24_off_policy/sac")
