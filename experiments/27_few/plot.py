@@ -1,9 +1,10 @@
-"""Returns and falls of few robots over simulator steps, and when they are at the level, by what is set:
-curves.png.
+"""Returns and falls of few robots over simulator steps, and when they are at the level: by what is set, by
+how many they are, and beside other methods: curves.png.
 
     python experiments/27_few/plot.py
 
-From results/gpu.csv.xz; the bands are 95 % t intervals, the bars reach from the first seed to the last.
+From results/ and the files of other pages; the bands are 95 % t intervals, the bars reach from the first seed
+to the last.
 """
 
 import importlib
@@ -14,6 +15,8 @@ import numpy as np
 from experiments import pictures
 
 table = importlib.import_module("experiments.27_few.table")
+peers = importlib.import_module("experiments.27_few.peers_table")
+others = importlib.import_module("experiments.24_off_policy.plot")
 HERE = Path(__file__).parent
 COLOURS = {  # by the last letter of a job
     "g": pictures.BLUE,
@@ -35,8 +38,8 @@ SIMULATED = (1, 4, 16, 64, 256, 1024)  # real robots
 def main():
     path = HERE / "results" / "gpu.csv.xz"
     jobs, fresh = table.read(path), table.fresh(path)
-    page, axes = pictures.figure(2, 2, 5.6)
-    (over_steps, by_imagined), (falls, by_simulated) = axes
+    page, axes = pictures.figure(2, 3, 5.4)
+    (over_steps, by_imagined, by_simulated), (falls, in_seconds, beside) = axes
     for letter, robot in table.ROBOTS.items():
         colour = COLOURS[letter]
         curve(over_steps, fresh[robot], robot, colour)
@@ -50,6 +53,9 @@ def main():
             job = fresh[table.ROBOTS[letter]] if count == 64 else jobs[f"{name}-{letter}"]
             bar(by_simulated, aside * count, job, COLOURS[letter])
     bar(by_simulated, 1024, jobs["best-g"], pictures.GREY)
+    for count, level, colour in timed():
+        whisker(in_seconds, count, level[:, 2], colour)
+    methods(beside, level_of_each(fresh["Go1"], jobs["default-g"]))
     over_steps.axhline(1, color="0.4", lw=1, ls=":")
     over_steps.set(xlim=(0, 50), ylim=(0, None))
     over_steps.set_title("return, in levels", loc="left")
@@ -57,17 +63,63 @@ def main():
     pictures.falls(falls)
     falls.set(xlabel="thousand simulator steps", xlim=(0, 50))
     falls.set_title("episodes with a fall, %", loc="left")
-    for axis, what in (
-        (by_imagined, "imagined robots for a real one"),
-        (by_simulated, "real robots"),
+    for axis, what, count in (
+        (by_imagined, "imagined robots for a real one", (1, 4, 16, 64, 256)),
+        (by_simulated, "real robots", SIMULATED),
+        (in_seconds, "real robots, Go1", SIMULATED),
     ):
         axis.set(xlabel=what, xscale="log")
         axis.set_title("thousand steps to the level", loc="left")
-    pictures.log(by_imagined)
-    pictures.log(by_simulated)
-    ticks(by_imagined, (1, 4, 16, 64, 256))
-    ticks(by_simulated, SIMULATED)
+        pictures.log(axis)
+        ticks(axis, count)
+    in_seconds.set_title("seconds to the level", loc="left")
     pictures.save(page, HERE / "curves")
+
+
+def timed():
+    """`(robots, [S, 3] at the level, colour)` of runs alone on a card; those of `best` last."""
+    few, best = {}, []
+    for file in ("seconds", "default"):
+        for one in table.alone(HERE / "results" / f"{file}.csv.xz"):
+            mine = best if "best" in one.config else few.setdefault(one.robots, [])
+            mine.append(one.level)
+    yield from ((count, np.concatenate(some), pictures.BLUE) for count, some in few.items())
+    yield 1024, np.concatenate(best), pictures.GREY
+
+
+def level_of_each(fresh, many):
+    """`(method and robots, thousand steps of each seed to 38)` on a Go1, those that need fewest first. Of a
+    seed of SAC that ran twice the mean counts."""
+    jobs = others.read() | {"few": fresh, "256": many}
+    alone = {count: level[:, 1] for count, level, colour in timed() if colour == pictures.BLUE}
+
+    def of(name):
+        first = lambda run: table.runs.first(run, 38)  # noqa: E731
+        return others.by_seed(jobs[name], first)
+
+    found = [
+        ("few, 4 robots", alone[4]),
+        ("few, 64", of("few")),
+        ("few, 256", of("256")),
+        ("CrossQ, 64", peers.fresh()["crossq-gamma97"].level),
+        ("CrossQ, 256", of("crossq")),
+        ("best, 1024", of("best-g")),
+        ("SAC, symmetric, 256", of("sac-twice")),
+        ("PPO alone, 128", of("ppo-level-g")),
+    ]
+    return [(name, steps / 1e3) for name, steps in found]
+
+
+def methods(axis, found):
+    for place, (name, steps) in enumerate(found):
+        colour = pictures.BLUE if name.startswith("few") else pictures.BLACK
+        colour = pictures.GREY if name.startswith("best") else colour
+        axis.plot([steps.min(), steps.max()], [place, place], color=colour, lw=1.2)
+        axis.plot(steps.mean(), place, "o", color=colour, ms=5)
+    axis.set_yticks(range(len(found)), [name for name, _ in found])
+    axis.invert_yaxis()
+    axis.set(xlabel="thousand steps to 38 (Go1)")
+    pictures.log(axis, subs=(1,), which="x")
 
 
 def curve(axis, job, robot, colour, falls=False):
@@ -86,8 +138,12 @@ def bar(axis, at, job, colour):
     if np.isnan(first).all():
         axis.plot(at, 1e-3 * seeds[0][-1]["sim_steps"], "x", color=colour)
         return
-    axis.plot([at, at], [np.nanmin(first), np.nanmax(first)], color=colour, lw=1.2)
-    axis.plot(at, np.nanmean(first), "o", color=colour, ms=5)
+    whisker(axis, at, first, colour)
+
+
+def whisker(axis, at, values, colour):
+    axis.plot([at, at], [np.nanmin(values), np.nanmax(values)], color=colour, lw=1.2)
+    axis.plot(at, np.nanmean(values), "o", color=colour, ms=5)
 
 
 def ticks(axis, at):

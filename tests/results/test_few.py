@@ -967,6 +967,32 @@ def test_what_spread_commands_and_newer_rows_are_worth_is_as_the_page_says():
     assert "60 pairs of fresh seeds: falls 0.02 points more, 0.14 fewer to 0.19 more;" in text
 
 
+def test_the_picture_has_other_methods_where_docs_numbers_has_them():
+    """And seconds with those of both files, sixteen seeds of `best`."""
+    plot = script("27_few")
+    fresh, many = few_fresh("g")[0], few_jobs("default")["default-g"]
+    found = dict(plot.level_of_each([row for run in fresh for row in run], many))
+    with (EXPERIMENTS.parent / "docs/numbers.csv").open(newline="") as file:
+        known = {
+            row["name"]: float(row["value"]) for row in csv.DictReader(file) if "38" in row["name"]
+        }
+    names = {
+        "few, 64": ("go1 few, first at 38", 1),
+        "CrossQ, 64": ("go1 CrossQ with 64 robots, first at 38", 1),
+        "CrossQ, 256": ("go1 CrossQ with 256 robots, first at 38", 1e3),
+        "best, 1024": ("go1 first at 38", 1e3),
+        "SAC, symmetric, 256": ("go1 symmetric SAC first at 38", 1e3),
+        "PPO alone, 128": ("go1 PPO first at 38", 1e3),
+    }
+    for name, (of, unit) in names.items():
+        np.testing.assert_allclose(found.pop(name).mean(), unit * known[of], rtol=1e-4)
+    assert {name: len(x) for name, x in found.items()} == {"few, 4 robots": 3, "few, 256": 10}
+    timed = [*plot.timed()]
+    assert [(n, len(x)) for n, x, _ in timed] == [
+        *((1, 3), (4, 3), (16, 3), (64, 5), (256, 19), (1024, 3), (1024, 16))
+    ]
+
+
 def test_the_seconds_of_few_robots_are_those_of_their_runs():
     """The table is the script's; one line of it by hand; what the page says of it and of `best` beside it."""
     table, page = script("27_few/table"), (EXPERIMENTS / "27_few/README.md").read_text()
