@@ -1029,13 +1029,8 @@ def test_the_seconds_of_few_robots_are_those_of_their_runs():
     readme = " ".join((EXPERIMENTS.parent / "README.md").read_text().split())
     told = f"One Go1 alone needs {few[0] / 1e3:.1f} thousand (three fresh seeds, all walk;"
     assert told in readme
-    alone = [x for x in table.alone(path.with_name("default.csv.xz")) if "few" in x.config]
-    many = few_of("default", "default-g")[1].level.mean() / 1e3
-    _, there, clock = np.concatenate([one.level for one in alone]).mean(0)
-    its = [x for x in table.alone(path.with_name("default.csv.xz")) if "best" in x.config]
-    told = f"256 need {many:.0f} thousand (ten; sixteen others, alone on an H200, {there / 1e3:.0f} thousand"
-    told += f" in {clock:.1f} s, `best` beside them"
-    assert f"{told} {np.concatenate([x.level for x in its])[:, 2].mean():.1f} s)" in readme
+    many = few_of("default", "default-g")[1].level
+    assert f"256 need {many.mean() / 1e3:.0f} thousand (ten)." in readme and len(many) == 10
     walks = [np.isfinite(few_fresh(x)[1].walks) for x in "ghcd"]
     told = f"{sum(x.sum() for x in walks)} of {sum(map(len, walks))} fresh seeds of four robots walk (Go1"
     assert f"{told} {walks[0].sum()} of {len(walks[0])})" in readme
