@@ -276,10 +276,6 @@ STATED = {  # name -> where, and the words
         (ROW_COST, "it is 3.75 and {:.2f} s, and no difference"),
     ],
     "g1 seconds to its level, with settings for seconds": [
-        (
-            "README.md",
-            "settings for seconds `best` takes {:.2f} on a G1 with our kernel, where",
-        ),
         ("docs/results.md", "`best` is within the errors after {:.2f} s (ten fresh seeds on"),
         ("docs/speed.md", "22 to 24 ms, within the errors after {:.2f} s (on a host"),
         (
@@ -332,7 +328,6 @@ STATED = {  # name -> where, and the words
         (ROW_COST, "and after {:.1f} with PPO on the same card"),
     ],
     "go2 seconds to its level, rough ground, with settings for seconds": [
-        ("README.md", "and {:.1f} on rough ground, where it was"),
         ("docs/speed.md", "is first at its level after {:.1f} s and 10.5 M steps"),
         ("docs/results.md", "settings for seconds `best` takes {:.1f} on that card"),
         ("docs/speed.md", "with settings for seconds `best` takes {:.1f} s there"),

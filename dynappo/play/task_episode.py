@@ -27,9 +27,7 @@ def check(policy: Other, flags) -> None:
             f"the policy is of {env}, which MuJoCo's viewer does not show: --serve opens it in a browser, "
             "--out=FILE.html, .mp4, .gif or .png writes it"
         )
-    if flags.command is not None and env.startswith(
-        "brax:"
-    ):  # of Playground's tasks only some have none
+    if flags.command is not None and env.startswith("brax:"):  # of Playground's only some have none
         raise ConfigError(f"--command: {env} has no command to follow")
     for name in ("keep_joints", "ground"):
         if getattr(flags, name):

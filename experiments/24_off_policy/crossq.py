@@ -282,9 +282,7 @@ def policy(method: Method, actor, obs, train: bool):
     if method.alike is None:
         return method.actor.apply(actor, obs, train, mutable=["stats"])
     of_obs, of_action = method.alike
-    # a mean, which changes its sign, and a spread, which does not
-    of_out = symmetry.beside(of_action, of_action._replace(sign=abs(of_action.sign)))
-    return said(method.actor, actor, obs, (of_obs, of_out), train)
+    return said(method.actor, actor, obs, (of_obs, sac.mirror_of_logits(of_action)), train)
 
 
 def values(method: Method, critics, obs, action, train: bool):

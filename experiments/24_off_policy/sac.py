@@ -158,6 +158,11 @@ def train(args: argparse.Namespace) -> None:
         )
 
 
+def mirror_of_logits(of_action):
+    """The mirror of what a policy says: a mean, which changes its sign, then a spread, which does not."""
+    return symmetry.beside(of_action, of_action._replace(sign=abs(of_action.sign)))
+
+
 def networks(mirrors, *sizes, **given) -> sac_networks.SACNetworks:
     """brax's, with the mean of what they say of an observation and of its mirror image, where there are
     `mirrors` of observation and action."""
@@ -167,8 +172,7 @@ def networks(mirrors, *sizes, **given) -> sac_networks.SACNetworks:
     if mirrors is None:
         return made
     of_obs, of_action = mirrors
-    # a mean, which changes its sign, and a spread, which does not
-    of_logits = symmetry.beside(of_action, of_action._replace(sign=abs(of_action.sign)))
+    of_logits = mirror_of_logits(of_action)
     policy, critics = made.policy_network.apply, made.q_network.apply
 
     def logits(moments, params, obs):

@@ -53,9 +53,11 @@ def main():
             job = fresh[table.ROBOTS[letter]] if count == 64 else jobs[f"{name}-{letter}"]
             bar(by_simulated, aside * count, job, COLOURS[letter])
     bar(by_simulated, 1024, jobs["best-g"], pictures.GREY)
-    for count, level, colour in timed():
-        whisker(in_seconds, count, level[:, 2], colour)
-    methods(beside, level_of_each(fresh["Go1"], jobs["default-g"]))
+    few, best = timed()
+    for count, level in few.items():
+        whisker(in_seconds, count, level[:, 2], pictures.BLUE)
+    whisker(in_seconds, 1024, best[:, 2], pictures.GREY)
+    methods(beside, level_of_each(fresh["Go1"], jobs["default-g"], few[4][:, 1]))
     over_steps.axhline(1, color="0.4", lw=1, ls=":")
     over_steps.set(xlim=(0, 50), ylim=(0, None))
     over_steps.set_title("return, in levels", loc="left")
@@ -77,28 +79,28 @@ def main():
 
 
 def timed():
-    """`(robots, [S, 3] at the level, colour)` of runs alone on a card; those of `best` last."""
-    few, best = {}, []
+    """Of runs alone on a card, iteration, steps and seconds at the level `[S, 3]`: `few` by the number of
+    robots, and `best`."""
+    few: dict[int, list] = {}
+    best = []
     for file in ("seconds", "default"):
         for one in table.alone(HERE / "results" / f"{file}.csv.xz"):
             mine = best if "best" in one.config else few.setdefault(one.robots, [])
             mine.append(one.level)
-    yield from ((count, np.concatenate(some), pictures.BLUE) for count, some in few.items())
-    yield 1024, np.concatenate(best), pictures.GREY
+    return {count: np.concatenate(some) for count, some in few.items()}, np.concatenate(best)
 
 
-def level_of_each(fresh, many):
+def level_of_each(fresh, many, four):
     """`(method and robots, thousand steps of each seed to 38)` on a Go1, those that need fewest first. Of a
     seed of SAC that ran twice the mean counts."""
     jobs = others.read() | {"few": fresh, "256": many}
-    alone = {count: level[:, 1] for count, level, colour in timed() if colour == pictures.BLUE}
 
     def of(name):
         first = lambda run: table.runs.first(run, 38)  # noqa: E731
         return others.by_seed(jobs[name], first)
 
     found = [
-        ("few, 4 robots", alone[4]),
+        ("few, 4 robots", four),
         ("few, 64", of("few")),
         ("few, 256", of("256")),
         ("CrossQ, 64", peers.fresh()["crossq-gamma97"].level),

@@ -35,7 +35,7 @@ cost = importlib.import_module("experiments.30_row_cost.table")
 
 # of results/gpu.csv.xz: batches in which today's `few` ran on fresh seeds, and what their jobs are called
 FRESH = ("late", "fresh-late-"), ("more", "more-few-")
-ROBOTS = {"g": "Go1", "h": "Go2", "c": "ANYmal-C", "d": "ANYmal-D"}  # by the last letter of a job
+ROBOTS = runs.ROBOTS  # by the last letter of a job
 
 
 def main():
