@@ -1,12 +1,12 @@
 """What the rule for fresh seeds says of its runs (steps.md): each point's numbers, then which setting.
 
-    python experiments/22_deploy/rule.py FOLDER|FILE.csv.xz [--batch fresh] [--seconds FOLDER|FILE.csv.xz]
-        [--gait FILE] [--chosen FILE] [--benchmark FILE] [--tuning FOLDER|FILE.csv.xz]
+    python experiments/22_deploy/rule.py [FOLDER|FILE.csv.xz] [--seconds FOLDER|FILE.csv.xz]
+        [--gait FILE] [--chosen FILE] [--benchmark FILE]
 
 Of the jobs of fewer_fresh.txt, and with `--seconds` of fewer_seconds.txt; the FILEs are what gait.py,
-choose.py and benchmark.py printed of the policies NAME.K.npz of the first; `--tuning` has the jobs of an
-ANYmal-C that have to run to their ends before. A part is open until all that it is of is there, whole. A
-point is not met if one part is not, else open if one is. The settings are taken in their order here.
+choose.py and benchmark.py printed of the policies NAME.K.npz of the first. Without arguments it reads what
+ran; choose.py and benchmark.py did not. A part is open until all that it is of is there, whole. A point is
+not met if one part is not, else open if one is. The settings are taken in their order here.
 """
 
 import functools
@@ -26,10 +26,10 @@ lost = importlib.import_module("experiments.27_few.rules").lost
 FALLS = importlib.import_module("experiments.22_deploy.choose").FALLS
 
 HERE = Path(__file__).parent
-ASKED = [paper.jobs(HERE / f"fewer{x}.txt") for x in ("", "_fresh", "_seconds")]
+RUNS, SECONDS, GAIT = HERE / "fewer.csv.xz", HERE / "seconds", HERE / "fewer_gait.txt"
+ASKED = [paper.jobs(HERE / f"fewer{x}.txt") for x in ("_fresh", "_seconds")]
 ASKED = {name: line for jobs in ASKED for name, line in jobs.items()}
 BASE, SETTINGS = "fresh-deploy", ("fresh-1024", "fresh-4096")
-FIRST = "fewer-4096-tails-c", "fewer-1024-tails-c", "fewer-1024-always-c"
 MARGIN = {"g": 1.0, "h": 1.0, "c": 0.7, "d": 0.7}  # of return
 LAST, ERROR, SEEDS, SLOWER = 3, 0.02, 2, 1.25  # evaluations; m/s; more that fall; times the seconds
 COSTS = "cost of transport", "torque N m", "joint speed rad/s", "change of targets rad/s"
@@ -66,18 +66,15 @@ class Ended(NamedTuple):
 
 def main():
     parser = paper.parser(__doc__)
-    parser.add_argument("path", type=Path)
-    parser.add_argument("--batch")
-    parser.add_argument("--seconds", type=Path)
-    parser.add_argument("--gait", type=Path, metavar="FILE")
+    parser.add_argument("path", type=Path, nargs="?", default=RUNS)
+    parser.add_argument("--seconds", type=Path, default=SECONDS)
+    parser.add_argument("--gait", type=Path, metavar="FILE", default=GAIT)
     parser.add_argument("--chosen", type=Path, metavar="FILE")
     parser.add_argument("--benchmark", type=Path, metavar="FILE")
-    parser.add_argument("--tuning", type=Path, default=HERE / "fewer.csv.xz")
     args = parser.parse_args()
-    timed = runs.read(args.seconds) if args.seconds else {}
     files = [file for file in (args.gait, args.chosen, args.benchmark) if file]
-    data = Data(runs.read(args.path, args.batch), timed, printed(files))
-    print(*told(data, runs.read(args.tuning)), sep="\n")
+    jobs = {name: job for name, job in runs.read(args.path).items() if name in ASKED}
+    print(*told(Data(jobs, runs.read(args.seconds), printed(files))), sep="\n")
 
 
 def printed(files) -> dict[str, dict[str, float]]:
@@ -95,7 +92,7 @@ def printed(files) -> dict[str, dict[str, float]]:
     return rows
 
 
-def told(data: Data, tuning: dict[str, list[dict]]) -> list[str]:
+def told(data: Data) -> list[str]:
     commits = {row["commit"] for job in (data.jobs | data.timed).values() for row in job}
     lines, verdicts = [f"commits: {', '.join(sorted(commits))}"], {}
     for setting in SETTINGS:
@@ -107,17 +104,15 @@ def told(data: Data, tuning: dict[str, list[dict]]) -> list[str]:
             verdicts[setting][point] = met
             lines.append(f"  {point}: {WORDS[met]}")
             lines += [f"    {text}: {WORDS[one]}" for one, text in parts]
-    before = [part("before", lambda n=name: (whole(tuning, n), "there")) for name in FIRST]
-    return [*lines, verdict(verdicts, [text for met, text in before if not met])]
+    return [*lines, verdict(verdicts)]
 
 
-def verdict(found: dict[str, dict[str, bool | None]], cut: list[str]) -> str:
-    """Which setting `:deploy` takes, by the points of each, and jobs that have to run before."""
+def verdict(found: dict[str, dict[str, bool | None]]) -> str:
+    """Which setting `:deploy` takes, by the points of each."""
     stays = []
     for setting, of in found.items():
         failed, left = ([point for point, met in of.items() if met is x] for x in (False, None))
         if not failed:
-            left += cut
             lacks = f"open: {setting} lacks {'; '.join(left)}"
             return lacks if left else f"`:deploy` takes {setting}"
         alone = failed == ["3, seconds"] and not left
