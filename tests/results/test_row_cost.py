@@ -27,7 +27,7 @@ def test_the_pages_of_seconds_have_the_tables_of_their_runs(monkeypatch, capsys)
     ):
         page = (EXPERIMENTS / ROW_COST / f"{name}.md").read_text().splitlines()
         rows = [line for line in printed.splitlines() if line.startswith(places)]
-        assert len(rows) >= (84 if name == "runs" else 9)
+        assert len(rows) >= (87 if name == "runs" else 9)
         assert rows == [line for line in page if line.startswith(places)]
 
 
@@ -127,7 +127,8 @@ def test_what_the_pages_of_seconds_say_in_words_is_so():
 
 
 def test_what_the_pages_of_seconds_say_of_a_g1_on_other_hosts_is_so(humanoid):
-    """`best` for seconds beside PPO of the first host, MuJoCo Warp's own step, and who walks by the end."""
+    """`best` for seconds beside PPO of the first host, the runs of 2026-11-28 with MuJoCo Warp's own step,
+    and who walks by the end."""
     table, folder = script(f"{ROW_COST}/table"), EXPERIMENTS / ROW_COST
     found = table.runs()
     pages = {
@@ -145,7 +146,6 @@ def test_what_the_pages_of_seconds_say_of_a_g1_on_other_hosts_is_so(humanoid):
     ]
     three = run["g1.warp", second, "ppo1024x12"]
     assert [len(one.level) for one in (quick, *dear, three)] == [10, 5, 5, 3]
-    assert table.settings(found, "g1.warp") == (dear[0], [dear[1]])
     seconds, steps = ([one.level[:, k] for one in (best, quick, ppo, *dear)] for k in (2, 1))
     text = "takes {:.2f} s longer to the level ({:.2f} to {:.2f}), 1.01 times the seconds"
     assert text.format(*stats.difference(seconds[2], seconds[1])) in pages["runs"]
@@ -164,29 +164,9 @@ def test_what_the_pages_of_seconds_say_of_a_g1_on_other_hosts_is_so(humanoid):
         gain = stats.difference(one.level[:, 2], seconds[3])
         more = stats.ratio(one.level[:, 1], steps[3])
         assert text.format(*gain, *more) in pages["runs"]
-    text = "{:.2f} and {:.2f} s, a difference of {:.1f} s ({:.1f} to {:.1f})"
-    both = seconds[4], three.level[:, 2]
-    told = text.format(*(some.mean() for some in both), *stats.difference(*both))
-    assert told in pages["runs"]
-    longer = stats.ratio(seconds[4], seconds[3])
-    assert "{:.1f} times as long ({:.1f} to {:.1f})".format(*longer) in pages["README"]
-    # computed from the runs with our kernel, and measured
-    costs, power = [table.cost(found, one) for one in dear], table.power_of("g1.warp")
-    later = [
-        table.later(one, table.cost(found, one), ms, power)
-        for one, ms in zip((best, ppo), costs, strict=True)
-    ]
-    for label, computed, measured in (
-        (f"`best`, {costs[0]:.2f} ms a row, second host", later[0], seconds[3]),
-        (f"PPO, 1024 robots, 12 rows, {costs[1]:.2f} ms, third host", later[1], seconds[4]),
-    ):
-        line = f"| {label} | {table.interval(computed)} | {table.interval(measured)} |"
-        assert line in pages["computed"]
-    assert "it is {:.1f} and {:.1f}.".format(*(one.mean() for one in later)) in pages["README"]
-    text = "`best` took {:.2f} s longer than computed ({:.2f} to {:.2f}), PPO {:.2f} ({:.2f} to {:.2f})"
-    slower = [x for pair in zip(seconds[3:], later, strict=True) for x in stats.difference(*pair)]
-    assert text.format(*slower) in pages["computed"]
-    some = (best, ppo, quick, *dear)
+    told = "on two other hosts, it was {:.2f} and {:.2f} s to the level; PPO's five walked there, too, after"
+    assert told.format(*(some.mean() for some in seconds[3:])) in pages["README"]
+    some = (best, ppo, quick)
     rows = [(one.level[:, 1] / one.robots).mean() for one in some]
     rest = [
         np.mean((1e3 * one.level[:, 2] - one.level[:, 1] / one.robots * one.row) / one.level[:, 0])
@@ -197,13 +177,12 @@ def test_what_the_pages_of_seconds_say_of_a_g1_on_other_hosts_is_so(humanoid):
     text += (
         f" With a KL of 0.04 and 3 epochs it is {rows[2]:.0f} rows, and {rest[2]:.1f} ms of 135."
     )
-    text += " With MuJoCo Warp's step it is {:.0f} and {:.0f} rows, and".format(*rows[3:])
-    text += " {:.1f} ms of 128 and {:.1f} of 236.".format(*rest[3:])
     assert text in pages["computed"]
     # who walks by iteration 160, and who still falls there
     known = [one.walks[:, 2] for one in (best, quick, *dear)]
     assert [int(np.isfinite(one).sum()) for one in known] == [10, 8, 2, 5]
-    assert f"PPO's five walk, after {known[3].mean():.1f} s" in pages["README"]
+    text = f"five walked there, too, after {known[3].mean():.1f} s, of `best` [two by their end]"
+    assert text in pages["README"]
     falls, errors, last, parts = {}, {}, {}, {}
     for row in table.read():
         key = row["batch"], row["name"]
@@ -269,7 +248,8 @@ def test_what_the_pages_of_seconds_say_of_a_g1_on_other_hosts_is_so(humanoid):
     fisher = pytest.importorskip("scipy.stats").fisher_exact
     for (one, of), (other, among), p in (
         ((2, 5), (10, 10), "p 0.022 (Fisher"),
-        ((2 + 9, 15), (10 + 10 + 8, 30), "11 of 15 and 28 of 30, p 0.16"),
+        ((2 + 5 + 9, 20), (10 + 10 + 8, 30), "16 of 20 and 28 of 30, p 0.20"),
+        ((2, 5), (5, 5), "Fisher's p 0.17"),
         ((8 + 6, 20), (10, 10), "beside ten of ten of `best` p 0.074"),
         ((8 + 6, 20), (10 + 10 + 8, 30), "beside its 28 of 30 p 0.047"),
     ):
@@ -701,6 +681,142 @@ def of_host(table, host):
         if row["batch"] == host:
             found.setdefault(row["name"], {}).setdefault(row["seed"], []).append(row)
     return found
+
+
+def test_what_the_pages_of_seconds_say_of_a_g1_with_mujoco_warps_step_on_one_host_is_so():
+    """`best` and PPO of one card, PPO with 2048 robots of the other; beside the two hosts before, and beside
+    what follows from the runs with our kernel."""
+    table, day = script(f"{ROW_COST}/table"), "H200, 2026-11-28"
+    host = "H200, 2026-11-29"
+    found, jobs = table.runs(), of_host(table, host)
+    run = {one[:3]: one for one in found}
+    pages = {
+        name: " ".join((EXPERIMENTS / ROW_COST / f"{name}.md").read_text().split())
+        for name in ("README", "runs", "computed")
+    }
+    best, ppo, many = (run["g1.warp", host, m] for m in ("best", "ppo1024x12", "ppo2048"))
+    chosen, ppos = table.settings(found, "g1.warp")
+    assert chosen is best and sorted(one.method for one in ppos) == [ppo.method, many.method]
+    assert table.fastest_beside(best, ppos) is ppo and table.sparing(ppos) is ppo
+    assert [len(one.level) for one in (best, ppo, many)] == [5] * 3
+    assert np.isfinite([best.walks, ppo.walks, many.walks]).all()  # "All five of both walk"
+    np.testing.assert_array_equal(best.walks, best.level)
+    before = run["g1.warp", f"{day}, second host", "best"]
+    three, five = (
+        run["g1.warp", f"{day}, {which} host", "ppo1024x12"] for which in ("second", "third")
+    )
+    asked = {}  # the same settings and seeds on all three hosts
+    for row in table.read():
+        if row["name"] in ("g1.warp.best", "g1.warp.ppo1024x12"):
+            asked.setdefault(row["name"], set()).add((row["job"], row["device"]))
+    assert [len(some) for some in asked.values()] == [1, 1]
+    seconds, steps = ([one.level[:, k] for one in (best, ppo, many)] for k in (2, 1))
+    longer, more = stats.ratio(seconds[1], seconds[0]), stats.ratio(steps[1], steps[0])
+    walk = stats.ratio(ppo.walks[:, 2], best.walks[:, 2])
+    ten = np.concatenate([best.level, before.level])
+    every = np.concatenate([ppo.level, three.level, five.level])
+    ms, slower = {}, []
+    for name in ("best", "ppo1024x12", "ppo2048"):
+        last = {seed: rows[-1] for seed, rows in jobs[f"g1.warp.{name}"].items()}
+        each = {seed: 1e3 * float(x["seconds"]) / int(x["iteration"]) for seed, x in last.items()}
+        ms[name] = np.mean([*each.values()])
+        usual = np.mean([each[seed] for seed in each if seed not in ("1100", "1101")])
+        slower += [100 * (each[seed] / usual - 1) for seed in ("1100", "1101")]
+    often = (
+        ms["ppo1024x12"] / 50,
+        ms["ppo2048"] / 50,
+        ms["best"] / 100,
+    )  # s of 20, 20, 10 iterations
+    gaps = [
+        stats.difference(seconds[0], before.level[:, 2]),
+        stats.difference(five.level[:, 2], seconds[1]),
+    ]
+    after = [16 - int(at / 10) + 1 for at in best.level[:, 0]]  # evaluations from there on
+    assert (min(after), max(after)) == (3, 5)
+    ends = {seed: rows[-1] for seed, rows in jobs["g1.warp.best"].items()}
+    falls = {seed: round(200 * float(row["fall_rate"])) for seed, row in ends.items()}
+    assert falls == {"1100": 0, "1101": 2, "1102": 1, "1103": 2, "1104": 1}
+    errors = np.mean(
+        [[float(row[key]) for key in ("tracking_error", "yaw_error")] for row in ends.values()], 0
+    )
+    for text in (
+        f"PPO takes {around(stats.difference(seconds[1], seconds[0]), words=' s longer')},"
+        f" {around(longer, words=' times the seconds of `best`')} and"
+        f" {around(more, words=' times the steps')}; with 2048 robots"
+        f" {around(stats.ratio(seconds[2], seconds[0]))} and"
+        f" {around(stats.ratio(steps[2], steps[0]), 0, ' times')}.",
+        "came every {:.1f} s, with 2048 robots every {:.1f}, with `best` every {:.1f};".format(
+            *often
+        ),
+        "with `best` by {:.0f} and {:.0f} %, with PPO by {:.0f} and {:.0f} %.".format(*slower[:4]),
+        f"PPO takes {around(walk, words=' times the seconds')} and"
+        f" {around(stats.ratio(ppo.walks[:, 1], best.walks[:, 1]), words=' times the steps')}.",
+        "at the last one seeds 1101 and 1103 fall in 2,",
+        f"`best` takes {around(gaps[0], words=' s more here')}, PPO"
+        f" {around(gaps[1], words=' less than on the third host')}.",
+        f"it is {table.interval(ten[:, 2])} and {table.interval(every[:, 2])} s:"
+        f" {around(stats.ratio(every[:, 2], ten[:, 2]), words=' times as long')}, for"
+        f" {around(stats.ratio(every[:, 1], ten[:, 1]), words=' times the steps')}.",
+        "{:.3f} and {:.3f} on 2026-11-29,".format(*errors),
+    ):
+        assert text in pages["runs"], text
+    assert f"ten of `best` and {len(every)} of PPO" in pages["runs"] and len(ten) == 10
+    commits = {x["commit"][:8] for job in jobs.values() for rows in job.values() for x in rows}
+    assert f"commit {', '.join(commits)}, evaluated" in pages["runs"]
+    # computed from the runs with our kernel
+    cost = table.cost(found, best)
+    kernel = [run["g1.kernel", day, method] for method in ("best", "ppo1024x12")]
+    later, walked = (
+        [
+            table.later(way(one), table.cost(found, one), cost, table.power_of("g1.warp"))
+            for one in kernel
+        ]
+        for way in (lambda one: one, table.to_walk)
+    )
+    gaps = [stats.difference(*pair) for pair in zip(seconds[:2], later, strict=True)]
+    assert all(gap.low < 0 < gap.high for gap in gaps)  # "Of neither a difference is shown"
+    here = [table.at_cost(found, one, cost) for one in ppos]
+    to_walk = [table.at_cost(found, table.to_walk(one), cost) for one in ppos]
+    evens = table.even(best, here, cost), table.even(table.to_walk(best), to_walk, cost)
+    rows = [(one.level[:, 1] / one.robots).mean() for one in (best, ppo)]
+    rest = [
+        np.mean((1e3 * one.level[:, 2] - one.level[:, 1] / one.robots * one.row) / one.level[:, 0])
+        for one in (best, ppo)
+    ]
+    iterations = [one.level[:, 0].mean() for one in (best, ppo)]
+    own = "H200, 2026-11-27"
+    clocks = []  # of 1024 robots the mean of `best` and PPO
+    for place, batch in (("go1.warp", own), ("go1.exact", day), ("anymal_c.exact", day)):
+        few, some, lots = (run[place, batch, f"ppo{count}"] for count in (512, 1024, 2048))
+        clocks += [few.row, table.cost(found, some), lots.row]
+    its = [run["go1.warp", own, method].walks[:, 2] for method in ("ppo2048", "best")]
+    for text in (
+        f"| `best`, {cost:.2f} ms a row | {table.interval(later[0])} | {table.interval(seconds[0])} |",
+        f"| PPO, 1024 robots, 12 rows | {table.interval(later[1])} | {table.interval(seconds[1])} |",
+        f"`best` took {around(gaps[0], 2, ' s longer than computed')}, PPO {around(gaps[1], 2)}. To a walk"
+        f" it is {walked[0].mean():.1f} and {walked[1].mean():.1f} s computed,"
+        f" {best.walks[:, 2].mean():.2f} and {ppo.walks[:, 2].mean():.2f} measured.",
+        f"at {cost:.2f} ms alone, a G1 would break even at {evens[0].replace(' (', ' ms (')}, to a walk at"
+        f" {evens[1]}.",
+        "it is {:.0f} and {:.0f} rows, and".format(*rows)
+        + f" {rest[0]:.1f} ms of {iterations[0]:.0f} and {rest[1]:.1f} of {iterations[1]:.0f}.",
+        "{:.2f}, {:.2f} and {:.2f} with 512, 1024 and 2048, in the exact tasks {:.2f}, {:.2f} and {:.2f}"
+        " (Go1), {:.2f}, {:.2f} and {:.2f} (ANYmal-C), of a G1".format(*clocks)
+        + f" {cost:.2f} and {many.row:.2f} with 1024 and 2048.",
+        f"takes {around(stats.ratio(*its), words=' times as long on a Go1')},"
+        f" {around(stats.difference(*its), words=' s more').removesuffix(')')}, Welch's p"
+        f" {stats.welch_of(*its):.2f}), and {around(walk, words=' times on a G1')}.",
+    ):
+        assert text in pages["computed"], text
+    text = (
+        f"4.4 ms, a G1 takes {seconds[0].mean():.2f} s with `best` and {seconds[1].mean():.2f} with PPO on"
+        f" the same card: {around(longer, words=' times as long')}, for"
+        f" {around(more, words=' times the steps')}. All five of both walk by their end, after"
+        f" {best.walks[:, 2].mean():.2f} and {ppo.walks[:, 2].mean():.2f} s."
+    )
+    assert text in pages["README"]
+    text = "it is {:.1f} and {:.1f} s to the level."
+    assert text.format(*(one.mean() for one in later)) in pages["README"]
 
 
 def test_what_the_pages_of_seconds_say_of_ppo_with_512_robots_in_the_exact_tasks_is_so():
