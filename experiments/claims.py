@@ -45,6 +45,7 @@ COMMITS = {  # of batches of SECONDS; rows of the first do not have theirs
     "H200, 2026-11-28, sixth host": "503dba45",
     "H200, 2026-11-28, seventh host": "71c94de1",
     "H200, 2026-11-28, eighth host": "d4ea24ce",
+    "H200, 2026-11-29": "94da69b8",
 }
 CORES = "two CPU cores", "2026-11-26"
 ROBOTS = {"go1": "g", "go2": "h", "anymal_c": "c", "anymal_d": "d"}
@@ -251,7 +252,7 @@ STATED = {  # name -> where, and the words
         ("README.md", "G1, our kernel | 0.5 | 3.65 | {:.2f} |"),
         ("docs/results.md", "1024 robots and 12 rows after {:.2f} and"),
         ("experiments/25_humanoid/README.md", "than `best`, after {:.2f} instead of"),
-        ("experiments/25_humanoid/seconds.md", "within the errors after {:.2f} ±"),
+        ("experiments/25_humanoid/seconds.md", "it is within the errors after {:.2f} ±"),
         (ROW_COST, "(ten fresh seeds) and {:.2f} with PPO (seven)"),
     ],
     "g1 fast PPO's steps to its level, by best's": [
@@ -288,28 +289,34 @@ STATED = {  # name -> where, and the words
     "g1 seconds to its level, MuJoCo Warp": [
         ("README.md", "G1, MuJoCo Warp's own step | 4.4 | {:.1f} |"),
         ("docs/results.md", "on a G1 at 4.4 ms, after {:.1f} instead of"),
-        ("docs/results.md", "it is {:.1f} instead of 15.0 s (five seeds each)"),
-        ("experiments/25_humanoid/README.md", "it is {:.1f} instead of 15.0 s (five"),
+        ("docs/results.md", "it is {:.1f} instead of 14.9 s (five seeds each)"),
+        ("experiments/25_humanoid/README.md", "it is {:.1f} instead of 14.9 s (five"),
         ("experiments/25_humanoid/README.md", "within the errors after {:.2f} s and PPO"),
         ("experiments/25_humanoid/seconds.md", "sooner: within the errors after {:.2f} ±"),
         (ROW_COST, "a G1 takes {:.2f} s with `best`"),
     ],
     "g1 PPO seconds to its level, MuJoCo Warp": [
-        ("README.md", "G1, MuJoCo Warp's own step | 4.4 | 6.2 | {:.1f} |"),
-        ("docs/results.md", "6.2 instead of {:.1f} s (five seeds each). On rough"),
-        ("docs/results.md", "6.2 instead of {:.1f} s (five seeds each). With the"),
-        ("experiments/25_humanoid/README.md", "6.2 instead of {:.1f} s (five"),
+        ("README.md", "G1, MuJoCo Warp's own step | 4.4 | 6.3 | {:.1f} |"),
+        ("docs/results.md", "6.3 instead of {:.1f} s (five seeds each). On rough"),
+        ("docs/results.md", "6.3 instead of {:.1f} s (five seeds each). With the"),
+        ("experiments/25_humanoid/README.md", "6.3 instead of {:.1f} s (five"),
         ("experiments/25_humanoid/README.md", "s and PPO after {:.2f}. With"),
         ("experiments/25_humanoid/seconds.md", "12 rows after {:.2f} ±"),
-        (ROW_COST, "and {:.2f} with PPO (five fresh seeds each"),
-    ],
-    "g1 PPO seconds to a walk, MuJoCo Warp": [
-        ("README.md", "| 4.4 | 6.2 | 15.0 | two of five | {:.1f} |"),
-        (ROW_COST, "PPO's five walk, after {:.1f} s"),
+        (ROW_COST, "and {:.2f} with PPO on the same card: 2.4 times"),
     ],
     "g1 fast PPO's steps to its level, by best's, MuJoCo Warp": [
-        ("experiments/25_humanoid/seconds.md", "for {:.1f} times the steps. These"),
-        (ROW_COST, "for {:.1f} times the steps. Computed"),
+        ("experiments/25_humanoid/seconds.md", "for {:.1f} times the steps. All five"),
+        (ROW_COST, "for {:.1f} times the steps (4.3 to 5.9). All five"),
+    ],
+    "g1 seconds to a walk, MuJoCo Warp": [
+        ("README.md", "| 4.4 | 6.3 | 14.9 | {:.1f} |"),
+        ("experiments/25_humanoid/seconds.md", "walk by their end, after {:.2f} and"),
+        (ROW_COST, "All five of both walk by their end, after {:.2f} and"),
+    ],
+    "g1 PPO seconds to a walk, MuJoCo Warp": [
+        ("README.md", "| 4.4 | 6.3 | 14.9 | 6.3 | {:.1f} |"),
+        ("experiments/25_humanoid/seconds.md", "walk by their end, after 6.27 and {:.2f} s;"),
+        (ROW_COST, "walk by their end, after 6.27 and {:.2f} s."),
     ],
     "go2 seconds to its level, rough ground": [
         ("README.md", "Go2 on rough ground, our kernel | 0.3 | {:.1f} |"),
@@ -480,7 +487,7 @@ def seconds():
         ("go1.exact", "go1", ", exact task", {"38": "level"}),
         ("anymal_c.exact", "anymal_c", ", exact task", {"24": "level"}),
         ("g1.kernel", "g1", "", {"its level": "level"} | walks),
-        ("g1.warp", "g1", ", MuJoCo Warp", {"its level": "level"}),
+        ("g1.warp", "g1", ", MuJoCo Warp", {"its level": "level"} | walks),
         ("go2.rough", "go2", ", rough ground", {"its level": "level"}),
     ):
         best, ppos = table.settings(every, place)
@@ -491,7 +498,7 @@ def seconds():
             yield f"{robot} PPO seconds to {level}{engine}", f"{its:.6g}", "s", *where(ppo)
             name = f"{robot} fast PPO's steps to {level}, by best's{engine}"
             yield name, f"{steps / few:.6g}", "", *where(ppo)
-        if place in ("g1.warp", "go1.jax"):  # not all of `best` walk
+        if place == "go1.jax":  # not all of `best` walk
             name = f"{robot} PPO seconds to a walk{engine}"
             yield name, f"{ppo.walks[:, 2].mean():.6g}", "s", *where(ppo)
         if place in ("g1.kernel", "go2.rough"):
