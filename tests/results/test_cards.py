@@ -252,7 +252,7 @@ def test_states_of_two_files_of_one_name_are_apart(tmp_path, monkeypatch):
 def test_what_runs_next_names_scripts_and_jobs_that_there_are():
     """And a card whose seconds count is one lane's alone."""
     lines, asked = list(cards.read(PLAN)), {}
-    assert len(lines) > 5
+    assert len({line.part for line in lines}) > 1
     for line in lines:
         words, folder = shlex.split(line.command), ROOT
         if words[:2] == ["env", "-C"]:  # runs there

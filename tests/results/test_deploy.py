@@ -1060,6 +1060,18 @@ def test_jobs_of_fewer_steps_for_hardware_change_robots_and_tails_alone():
         assert changed <= {"rollout.num_envs", "schedule.last_iteration"}
         assert bool(changed) != ("-deploy-" in line)  # `deploy` itself
         assert schedule.sim_steps(mine)[-1] < 16e6  # PPO's are up to 20 M
+    fresh = paper.jobs(DEPLOY / "fewer_fresh.txt")
+    for name, line in paper.jobs(
+        DEPLOY / "fewer_ramp.txt"
+    ).items():  # tails of the fresh seeds, another ramp
+        ramp, robots, letter = name.split("-")
+        job, *fields = line.split()
+        changed, mine = changed_fields(job, fields)
+        *_, its = changed_fields(job, fresh[f"fresh-{robots}-{letter}"].split()[1:])
+        assert changed - {"task.clearance_ramp"} <= {"rollout.num_envs", "schedule.last_iteration"}
+        assert mine.task.clearance_ramp == int(ramp.removeprefix("ramp")) / 100
+        assert (mine.rollout, mine.schedule) == (its.rollout, its.schedule)
+        assert (mine.run.seed, mine.run.num_iterations) == (0, its.run.num_iterations)
 
 
 def test_jobs_of_the_rule_for_fresh_seeds_for_hardware_are_as_the_page_says():
