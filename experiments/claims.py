@@ -31,8 +31,8 @@ FEW = "experiments/27_few/results/gpu.csv.xz"
 LAPTOP = "experiments/04_laptop/results/make_train.txt"
 SAC = "experiments/24_off_policy/results/sac_symmetric.csv"
 SAC_FIRST = "experiments/24_off_policy/results/sac_symmetric_cut.csv"
-CROSSQ = "experiments/24_off_policy/results/crossq.csv"
-CROSSQ_FEW = "experiments/27_few/peers_fresh.csv"
+CROSSQ = "experiments/24_off_policy/results/fresh/crossq-256-symmetric-103-107.csv"
+CROSSQ_FEW = "experiments/24_off_policy/results/fresh/crossq-64-symmetric-103-105.csv"
 FRESH = "2026-11-27", "e01cca1"
 COMMITS = {  # of batches of SECONDS; rows of the first do not have theirs
     "H200, 2026-11-27": "24fde7d",
@@ -121,8 +121,8 @@ STATED = {  # name -> where, and the words
         ("experiments/24_off_policy/README.md", "alike is there after {:.2f} M (the last"),
     ],
     "go1 CrossQ with 256 robots, first at 38": [
-        ("experiments/README.md", "model of them, needs {:.2f} million (three"),
-        ("README.md", "follows commands after {:.2f} million (three"),
+        ("experiments/README.md", "model of them, needs {:.2f} million (five"),
+        ("README.md", "follows commands after {:.2f} million (five"),
         ("experiments/README.md", "with 256 robots needs {:.2f} M steps to 38"),
         ("experiments/24_off_policy/README.md", "(Go1, today's task) after {:.2f} M simulator"),
     ],
@@ -435,8 +435,8 @@ def measured():
 
 
 def off_policy():
-    """Of other methods: SAC, of each seed the mean of two tries; CrossQ, and the best of its settings for few
-    robots on fresh seeds."""
+    """Of other methods, with symmetric networks: SAC, of each seed the mean of two tries; CrossQ with many
+    and with few robots."""
     peers = importlib.import_module("experiments.27_few.peers_table")
 
     def level(path, name=None):
@@ -447,11 +447,11 @@ def off_policy():
     tries = [level(path, "sac-symmetric") for path in (SAC_FIRST, SAC)]  # the same seeds, in order
     rest = "H200", "2026-11-28", "d4ea24ce and e1fe5f03", f"{SAC_FIRST} {SAC}"
     yield "go1 symmetric SAC first at 38", *million(np.mean(tries, 0)), *rest
-    rest = "H200", "2026-11-29", "e1fe5f03", CROSSQ
-    yield "go1 CrossQ with 256 robots, first at 38", *million(level(CROSSQ)), *rest
+    rest = "H200", "2026-11-29", "94da69b8"
+    yield "go1 CrossQ with 256 robots, first at 38", *million(level(CROSSQ)), *rest, CROSSQ
     name = "go1 CrossQ with 64 robots, first at 38"
-    steps = f"{np.mean(level(CROSSQ_FEW, 'crossq-gamma97')) / 1e3:.6g}"
-    yield name, steps, "thousand steps", "H200", "2026-11-29", "60000061", CROSSQ_FEW
+    steps = f"{np.mean(level(CROSSQ_FEW)) / 1e3:.6g}"
+    yield name, steps, "thousand steps", *rest, CROSSQ_FEW
 
 
 def million(steps) -> tuple[str, str]:

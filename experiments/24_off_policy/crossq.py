@@ -10,8 +10,8 @@ A control step adds a transition of each robot, and is followed by `--updates` g
 transitions: `--updates` = `--robots` is one for each transition.
 
 `--mirror`: half of a batch is mirrored, left for right. `--symmetric`: actor and critics treat left and right
-alike, as policy and model of `best` do: each gives the mean of what it says of its input and, mirrored back,
-of the mirror image, which go through it as one batch, so an update costs nearly twice as much.
+alike, as the policy of `best` does: each gives the mean of what it says of its input and, mirrored back, of
+the mirror image, which go through it as one batch, so an update costs nearly twice as much.
 
 Everything between two evaluations is one compiled program, of `--num-seeds` seeds at once, `[S]`. A gradient
 step is many small kernels, so a second seed should cost little (not measured). Seconds are of all seeds.

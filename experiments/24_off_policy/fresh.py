@@ -1,9 +1,10 @@
 """What the rule for CrossQ's fresh seeds says of the jobs of fresh.txt (README.md), printed with its numbers.
 
-    python experiments/24_off_policy/fresh.py FOLDER
+    python experiments/24_off_policy/fresh.py [FOLDER]
 
-FOLDER has what 27_few/peers.py wrote. Of each setting: thousand steps to 38, beside `best` or `few`; how many
-times their steps, with Fieller's 95 %; falls and return in the last evaluation.
+FOLDER has what 27_few/peers.py wrote: results/fresh, if none is given. Of each setting: thousand steps to
+38, beside `best` or `few`; how many times their steps, with Fieller's 95 %; falls and return in the last
+evaluation.
 """
 
 import importlib
@@ -19,6 +20,7 @@ peers = importlib.import_module("experiments.27_few.peers_table")
 few = importlib.import_module("experiments.27_few.table")
 
 HERE = Path(__file__).parent
+RUNS = HERE / "results/fresh"
 LEVEL = walks.level(45)
 BEFORE = HERE / "results/crossq.csv"  # three more seeds of crossq-256, to 0.41 M steps
 SETTINGS = {  # job of fresh.txt -> seeds that the rule asks for, with those of BEFORE; beside what
@@ -30,7 +32,7 @@ SETTINGS = {  # job of fresh.txt -> seeds that the rule asks for, with those of 
 
 def main():
     parser = paper.parser(__doc__)
-    parser.add_argument("folder", type=Path)
+    parser.add_argument("folder", type=Path, nargs="?", default=RUNS)
     args = parser.parse_args()
     for name in SETTINGS:
         print(told(name, runs_of(args.folder, name), beside(SETTINGS[name][1])))

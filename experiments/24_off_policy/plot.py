@@ -3,9 +3,10 @@
     python experiments/24_off_policy/plot.py
 
 Left are means over five seeds (FastTD3: three) with their 95 % t interval, of the task of before 2026-11-25;
-runs that were cut off end where the shortest does. In the middle is the task since then: CrossQ, and SAC with
-and without symmetric networks, three seeds each, beside ten of 21_less. Right are the five settings of SAC,
-one seed each.
+runs that were cut off end where the shortest does. In the middle is the task since then: CrossQ with
+symmetric networks (five seeds) and with mirrored batches (eight, three of which are shorter), and SAC with
+and without symmetric networks (three each), beside ten of 21_less. Right are the five settings of SAC, one
+seed each.
 """
 
 import functools
@@ -30,7 +31,8 @@ RUNS = {  # name in the results -> label, colour, dashes
 }
 TODAY = {  # the same, of the task since 2026-11-25
     "best-g": ("best", pictures.BLUE, "-"),
-    "crossq": ("CrossQ, mirrored batches", pictures.PURPLE, "-"),
+    "crossq-symmetric": ("CrossQ, symmetric networks", pictures.PURPLE, "-"),
+    "crossq": ("CrossQ, mirrored batches", pictures.PURPLE, (0, (3, 1.2))),
     "sac-symmetric": ("SAC, symmetric networks", pictures.GREEN, "-"),
     "sac-today": ("SAC", pictures.VERMILION, (0, (3, 1.2))),
     "ppo-level-g": ("PPO, to the level", pictures.ORANGE, (0, (1, 1))),
@@ -44,11 +46,11 @@ SETTINGS = {  # of SAC; by their gain of actions
 }
 LEVEL = walks.level(45)
 WINDOW = (2.2e6, 2.5e6)  # steps: the last that SAC has
-WINDOW_EARLY = (0.35e6, 0.41e6)  # the last that CrossQ has
+WINDOW_EARLY = (0.53e6, 0.62e6)  # the last that CrossQ has
 WINDOW_TODAY = (0.9e6, 1.25e6)  # the last that the first try of symmetric SAC has
 WINDOW_LATE = (1.75e6, 2.05e6)  # the last that SAC has
 PAIRS = [  # of today's task; "sac-twice" has both tries of symmetric SAC, "sac-symmetric" the whole one
-    *(("crossq", name, WINDOW_EARLY) for name in ("best-g", "ppo-level-g", "sac-twice")),
+    *(("crossq-symmetric", name, WINDOW_EARLY) for name in ("best-g", "crossq", "sac-twice")),
     *(("sac-symmetric", name, WINDOW_LATE) for name in ("sac-today", "ppo-level-g", "best-g")),
     *(("sac-twice", name, WINDOW_TODAY) for name in ("sac-today", "ppo-level-g", "best-g")),
 ]
@@ -93,16 +95,24 @@ def main():
 
 
 def read() -> dict[str, list[dict]]:
-    """All jobs by name; SAC of today's task is "sac-today". What was cut off is apart, but "sac-twice" has
-    all runs of symmetric SAC: of each seed two."""
+    """All jobs by name; SAC of today's task is "sac-today", and "crossq" has all seeds of mirrored batches,
+    the longer first. What was cut off is apart, but "sac-twice" has all runs of symmetric SAC: of each seed
+    two."""
     results, fewer = HERE / "results", HERE.parent / "21_less/results"
     jobs = less.table.read(fewer / "fresh.csv.xz") | less.table.read(fewer / "headline.csv.xz")
     jobs |= less.table.read(results / "mbpo.csv.xz") | less.table.read(results)
     for row in jobs.pop("sac_symmetric"):
         jobs.setdefault("sac-today" if row["name"] == "sac" else row["name"], []).append(row)
-    before = [row for row in jobs["sac_symmetric_cut"] if row["name"] == "sac-symmetric"]
-    twice = [row | {"batch": "before"} for row in before]
-    return jobs | {"sac-twice": jobs["sac-symmetric"] + twice}
+    later = less.table.read(results / "fresh")
+    jobs["crossq-symmetric"] = later["crossq-256-symmetric-103-107"]
+    jobs["crossq"] = later["crossq-256-103-107"] + before(jobs["crossq"])
+    cut = [row for row in jobs["sac_symmetric_cut"] if row["name"] == "sac-symmetric"]
+    return jobs | {"sac-twice": jobs["sac-symmetric"] + before(cut)}
+
+
+def before(job) -> list[dict]:
+    """Rows of an earlier batch: a table has its seeds after the others."""
+    return [row | {"batch": "before"} for row in job]
 
 
 def by_seed(job, of) -> np.ndarray:
@@ -128,16 +138,18 @@ def beside(one, other, window) -> str:
 
 
 def equal_steps(one, other, window) -> str:
-    """How much more `one` returns than `other` in a window, a seed with the mean of its evaluations there."""
+    """How much more `one` returns than `other` in a window, a seed with the mean of its evaluations there;
+    one that has none is left out."""
 
     def inside(run):
-        return np.mean([r["return"] for r in run if window[0] <= r["sim_steps"] <= window[1]])
+        found = [r["return"] for r in run if window[0] <= r["sim_steps"] <= window[1]]
+        return np.mean(found or [np.nan])
 
     means = [by_seed(job, inside) for job in (one, other)]
     found = stats.difference(*means)
     text = f"{window[0] / 1e6} to {window[1] / 1e6} M steps: {found.value:.1f} "
     text += f"({found.low:.1f} to {found.high:.1f}), p {stats.welch_of(*means):.0e}; "
-    return text + f"{np.mean(means[1]):.1f}"
+    return text + f"{np.nanmean(means[1]):.1f}"
 
 
 if __name__ == "__main__":

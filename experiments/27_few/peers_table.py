@@ -1,7 +1,7 @@
 """Settings of CrossQ and SAC for 64 robots: the tables of peers.md, and the best of each method.
 
     python experiments/27_few/peers_table.py              # tuning seeds: peers_tune.csv, which peers.py wrote
-    python experiments/27_few/peers_table.py --fresh      # the best on fresh seeds: peers_fresh.csv
+    python experiments/27_few/peers_table.py --fresh      # on fresh seeds: peers_fresh.csv, and LATER
 
 A row a setting: return and episodes with a fall, means of its seeds, at the nearest evaluation; the first
 evaluation at 30 and at 38, thousand steps, mean of the seeds and the last of them.
@@ -12,7 +12,8 @@ the one with the higher return counts, mean of a seed's last three evaluations. 
 get there or have nine tenths of their steps; all others in peers_tune.txt must run first, but for one that
 cannot be first any more: with the steps so far of each seed that is not there, its mean is above that of the
 best that counts. The best of each method then runs on seeds 100 to 102: all others have run, and
-peers_fresh.csv has them.
+peers_fresh.csv has them. CrossQ's best with symmetric networks in place of mirrored batches ran later, by
+another rule (24_off_policy/README.md).
 """
 
 import csv
@@ -31,6 +32,7 @@ runs = importlib.import_module("experiments.21_less.table")
 
 HERE = Path(__file__).parent
 RUNS, JOBS, FRESH = HERE / "peers_tune.csv", HERE / "peers_tune.txt", HERE / "peers_fresh.csv"
+LATER = HERE.parent / "24_off_policy/results/fresh/crossq-64-symmetric-103-105.csv"
 AT = 13e3, 26e3, 38e3, 51e3, 102e3
 NEAR = 0.11  # of the steps: an evaluation that is farther is not shown
 EARLY, LEVEL = 30, walks.level(45)
@@ -48,6 +50,7 @@ WORDS = {
     "crossq-gain1": "gain 1",
     "crossq-gain05": "gain 0.5",
     "crossq-gamma97": "gamma 0.97",
+    "crossq-64-symmetric": "gamma 0.97, symmetric networks",
     "crossq-gamma95": "gamma 0.95",
     "crossq-first1k": "1024 random transitions first",
     "crossq-b1024": "batches of 1024",
@@ -78,7 +81,7 @@ class Setting(NamedTuple):
 
 def main():
     parser = paper.parser(__doc__)
-    parser.add_argument("--fresh", action="store_true", help="the best of each, on fresh seeds")
+    parser.add_argument("--fresh", action="store_true", help="on fresh seeds")
     if parser.parse_args().fresh:
         print(table(fresh()))
         return
@@ -110,8 +113,8 @@ def settings(folder: Path | None = None, jobs: Path = JOBS) -> dict[str, Setting
 
 
 def fresh() -> dict[str, Setting]:
-    """Of peers_fresh.csv."""
-    return each(read(FRESH), JOBS)
+    """Of peers_fresh.csv, and the one that came later."""
+    return each(read(FRESH) | {LATER.stem.removesuffix("-103-105"): of_run(LATER)}, JOBS)
 
 
 def each(rows: dict[str, list], jobs: Path) -> dict[str, Setting]:

@@ -979,8 +979,8 @@ def test_the_picture_has_other_methods_where_docs_numbers_has_them():
         }
     names = {
         "few, 64": ("go1 few, first at 38", 1),
-        "CrossQ, 64": ("go1 CrossQ with 64 robots, first at 38", 1),
-        "CrossQ, 256": ("go1 CrossQ with 256 robots, first at 38", 1e3),
+        "CrossQ, symmetric, 64": ("go1 CrossQ with 64 robots, first at 38", 1),
+        "CrossQ, symmetric, 256": ("go1 CrossQ with 256 robots, first at 38", 1e3),
         "best, 1024": ("go1 first at 38", 1e3),
         "SAC, symmetric, 256": ("go1 symmetric SAC first at 38", 1e3),
         "PPO alone, 128": ("go1 PPO first at 38", 1e3),
