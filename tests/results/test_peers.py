@@ -231,6 +231,8 @@ def test_the_page_says_how_crossq_is_beside_best_ppo_and_sac():
     told = "three seeds of CrossQ end at 0.4 M; the other five have {:.1f} at {:.1f} M"
     ends = [run[-1]["sim_steps"] for run in runs["crossq"]]
     assert sorted(ends) == 3 * [409_600] + 5 * [end]
+    its = runs["sac-symmetric"][0][-1]["sim_steps"]
+    assert f"by runs that end at {end / 1e6:.1f} and {its / 1e6:.1f} M; those of" in words
     assert told.format(np.mean(five), end / 1e6) in words
     # others
     ppo, both = level["ppo-level-g"], level["sac-twice"]
@@ -318,6 +320,11 @@ def test_the_page_says_how_crossq_was_run_how_long_it_trains_and_what_was_predic
     assert [len(x) / 3 for x in tries] == [1, 4]
     last = np.mean([(r["sim_steps"], r["return"]) for r in tries[1][-3:]], 0)
     assert f"chosen after we had seen {last[1]:.1f} after {last[0] / 1e6:.3f} M" in mine
+    end = first[0][-1]["sim_steps"] / 1e6
+    seeds = [[run[0]["seed"] for run in some] for some in (runs["crossq"][:5], first)]
+    assert f"Mirrored, seeds {seeds[0][0]:.0f} to {seeds[0][-1]:.0f}: the same card" in mine
+    assert f"Seeds {seeds[1][0]:.0f} to {seeds[1][-1]:.0f} (`results/crossq.csv`): one H200" in mine
+    assert f"their end at {end:.2f} M and the interval were" in mine
 
 
 def test_the_page_of_results_says_how_crossq_is_beside_best():
