@@ -93,7 +93,7 @@ STATED = {  # name -> where, and the words
     "anymal_c walks": [("docs/results.md", "ANYmal-C and -D after {:.2f} and")],
     "anymal_d walks": [("docs/results.md", "and {:.2f} M. PPO alone")],
     "go1 first at 38": [
-        ("experiments/README.md", "needs {:.2f} million on a Go1"),
+        ("experiments/README.md", "a model ([21](21_less/README.md)) | {:.2f} M"),
         ("README.md", "follows commands after {:.2f} million"),
         ("docs/speed.md", "1024 need {:.2f} M"),
     ],
@@ -104,7 +104,7 @@ STATED = {  # name -> where, and the words
     "go1 PPO walks": [("README.md", "commands and {:.1f} million to walk")],
     "go1 PPO first at 38": [
         ("README.md", "needs {:.1f} million to follow"),
-        ("experiments/README.md", "PPO alone, tuned, {:.2f} million"),
+        ("experiments/README.md", "tuned for each of the two | {:.2f} M"),
     ],
     "go1 few, first at 38": [
         ("README.md", "follows commands after {:.1f} thousand steps"),
@@ -117,18 +117,16 @@ STATED = {  # name -> where, and the words
     "go1 symmetric SAC first at 38": [
         ("README.md", "treat left and right alike, needs {:.2f} million"),
         ("docs/results.md", "treat left and right alike is at 38 after {:.2f} M steps"),
-        ("experiments/README.md", "SAC with symmetric networks {:.2f} M"),
+        ("experiments/README.md", "SAC with symmetric networks needs {:.2f} M"),
         ("experiments/24_off_policy/README.md", "alike is there after {:.2f} M (the last"),
     ],
     "go1 CrossQ with 256 robots, first at 38": [
-        ("experiments/README.md", "model of them, needs {:.2f} million (five"),
+        ("experiments/README.md", "no model ([24](24_off_policy/README.md)) | {:.2f} M"),
         ("README.md", "follows commands after {:.2f} million (five"),
-        ("experiments/README.md", "with 256 robots needs {:.2f} M steps to 38"),
         ("experiments/24_off_policy/README.md", "(Go1, today's task) after {:.2f} M simulator"),
     ],
     "go1 CrossQ with 64 robots, first at 38": [
         ("README.md", "CrossQ with 64 robots needs {:.0f} thousand"),
-        ("experiments/README.md", "with 64 robots {:.0f} k (three fresh seeds"),
         ("experiments/27_few/README.md", "CrossQ is at 38 after {:.0f},000 steps"),
         ("experiments/27_few/peers.md", "38 of 45, after {:.1f} thousand simulator steps"),
     ],

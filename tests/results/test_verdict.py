@@ -1,0 +1,73 @@
+"""experiments/README.md: what is new, by the runs that it names."""
+
+import numpy as np
+from result_files import EXPERIMENTS, cells, few_fresh, script
+
+from experiments import stats
+
+PAGE = (EXPERIMENTS / "README.md").read_text()
+TEXT = " ".join(PAGE.split())
+
+
+def runs():
+    """Label -> rows of each seed, of a Go1."""
+    table, fresh = script("21_less/table"), script("24_off_policy/fresh")
+    jobs = table.read(EXPERIMENTS / "21_less/results/headline.csv.xz")
+    found = {name: table.seeds(jobs[f"{name}-g"]) for name in ("best", "ppo-level", "ppo-walk")}
+    found["few"], _ = few_fresh("g")
+    for count in (64, 256):
+        name = f"crossq-{count}-symmetric"
+        found[name] = fresh.runs_of(fresh.RUNS, name)
+    return found
+
+
+def falls_then(some):
+    """% of episodes with a fall where each run is first at the level."""
+    first = [next(row for row in run if row["return"] >= 38) for run in some]
+    return 100 * np.mean([row["fall_rate"] for row in first])
+
+
+def test_steps_falls_and_walks_of_a_go1_are_those_of_the_runs():
+    """Level, falls then, walk and seeds: all that DESIGN asks for beside a number of steps."""
+    table, of = script("21_less/table"), runs()
+    rows = [
+        cells(line) for line in PAGE.split("## Does the paper")[0].splitlines() if line[:1] == "|"
+    ]
+    assert len(rows) == 2 + 4
+    for row, (level, walk, unit, digits) in zip(
+        rows[2:],
+        (
+            ("few", "few", 1e3, 1),
+            ("crossq-256-symmetric", "crossq-256-symmetric", 1e6, 2),
+            ("best", "best", 1e6, 2),
+            ("ppo-level", "ppo-walk", 1e6, 2),
+        ),
+        strict=True,
+    ):
+        name = "k" if unit == 1e3 else "M"
+        first = table.reached(of[level], 38).level
+        walks = table.reached(of[walk], 38).walks
+        there = ~np.isnan(walks)
+        told = f"{np.nanmean(walks) / unit:.{digits if unit == 1e6 else 0}f} {name}"
+        if not there.all():
+            told += f", {there.sum()} of {len(walks)}"
+        seeds = str(len(of[level])) if level == walk else f"{len(of[level])}, {len(of[walk])}"
+        assert not np.isnan(first).any()
+        assert row[1:] == [
+            f"{first.mean() / unit:.{digits}f} {name}",
+            f"{falls_then(of[level]):.1f} %",
+            told,
+            seeds,
+        ]
+
+
+def test_what_is_said_of_few_and_crossq_beside_it_is_so():
+    table, of = script("21_less/table"), runs()
+    level = {name: table.reached(some, 38).level for name, some in of.items()}
+    crossq = stats.ratio(level["crossq-256-symmetric"], level["best"])
+    assert "CrossQ 0.70 times, 0.57 to 0.88" in TEXT
+    assert "{:.2f} times, {:.2f} to {:.2f}".format(*crossq) == "0.70 times, 0.57 to 0.88"
+    sixty = stats.ratio(level["crossq-64-symmetric"], level["few"])
+    assert f"and {sixty.value:.1f} times with 64 ([{sixty.low:.1f} to {sixty.high:.1f}]" in TEXT
+    walk = [(~np.isnan(few_fresh(letter)[1].walks)).sum() for letter in "gc"]
+    assert "walks by 44 thousand on {} and {} of 30 seeds".format(*walk) in TEXT
