@@ -3,8 +3,8 @@
     python experiments/24_off_policy/fresh.py [FOLDER]
 
 FOLDER has what 27_few/peers.py wrote: results/fresh, if none is given. Of each setting: thousand steps to
-38, beside `best` or `few`; how many times their steps, with Fieller's 95 %; falls and return in the last
-evaluation.
+the level, beside `best` or `few`; how many times their steps, with Fieller's 95 %; falls and return in the
+last evaluation.
 """
 
 import importlib
@@ -21,12 +21,12 @@ few = importlib.import_module("experiments.27_few.table")
 
 HERE = Path(__file__).parent
 RUNS = HERE / "results/fresh"
-LEVEL = walks.level(45)
 BEFORE = HERE / "results/crossq.csv"  # three more seeds of crossq-256, to 0.41 M steps
-SETTINGS = {  # job of fresh.txt -> seeds that the rule asks for, with those of BEFORE; beside what
-    "crossq-256": (8, "best"),
-    "crossq-256-symmetric": (5, "best"),
-    "crossq-64-symmetric": (3, "few"),
+SETTINGS = {  # job of fresh.txt -> seeds that the rule asks for, with those of BEFORE; beside what; robot
+    "crossq-256": (8, "best", "g"),
+    "crossq-256-symmetric": (5, "best", "g"),
+    "crossq-64-symmetric": (3, "few", "g"),
+    "crossq-256-symmetric-c": (5, "best", "c"),
 }
 
 
@@ -35,7 +35,7 @@ def main():
     parser.add_argument("folder", type=Path, nargs="?", default=RUNS)
     args = parser.parse_args()
     for name in SETTINGS:
-        print(told(name, runs_of(args.folder, name), beside(SETTINGS[name][1])))
+        print(told(name, runs_of(args.folder, name), beside(*SETTINGS[name][1:])))
 
 
 def runs_of(folder: Path, name: str) -> list:
@@ -48,27 +48,31 @@ def runs_of(folder: Path, name: str) -> list:
     return found
 
 
-def beside(kind: str) -> np.ndarray:
-    """Steps to the level of the ten seeds of `best`, or the thirty of `few`, on a Go1."""
+def level(letter: str) -> float:
+    return walks.level(45 if letter in "gh" else 30)
+
+
+def beside(kind: str, letter: str) -> np.ndarray:
+    """Steps to the level of a robot's ten seeds of `best`, or all fresh ones of `few`."""
     if kind == "few":
-        rows = few.fresh(HERE.parent / "27_few/results/gpu.csv.xz")["Go1"]
+        rows = few.fresh(HERE.parent / "27_few/results/gpu.csv.xz")[few.ROBOTS[letter]]
     else:
-        rows = few.runs.read(HERE.parent / "21_less/results/headline.csv.xz")["best-g"]
-    return few.runs.reached(few.runs.seeds(rows), LEVEL).level
+        rows = few.runs.read(HERE.parent / "21_less/results/headline.csv.xz")[f"best-{letter}"]
+    return few.runs.reached(few.runs.seeds(rows), level(letter)).level
 
 
 def told(name: str, seeds: list, base: np.ndarray) -> str:
     """The setting's line; that it is open where seeds are missing."""
-    count, kind = SETTINGS[name]
+    count, kind, letter = SETTINGS[name]
     if len(seeds) != count:
         return f"{name}: {len(seeds)} of {count} seeds, so the rule is open"
-    level = few.runs.reached(seeds, LEVEL).level
-    never = np.isnan(level)
-    level = np.where(never, [2 * run[-1]["sim_steps"] for run in seeds], level)
-    found = stats.ratio(level, base)
+    steps = few.runs.reached(seeds, level(letter)).level
+    never = np.isnan(steps)
+    steps = np.where(never, [2 * run[-1]["sim_steps"] for run in seeds], steps)
+    found = stats.ratio(steps, base)
     end = [np.mean([run[-1][x] for run in seeds]) for x in ("return", "fall_rate")]
-    line = f"{name}, {count} seeds: first at {LEVEL:g} after {level.mean() / 1e3:.1f} k steps (last"
-    line += f" {level.max() / 1e3:.1f})" + f", {never.sum()} never" * bool(never.any())
+    line = f"{name}, {count} seeds: first at {level(letter):g} after {steps.mean() / 1e3:.1f} k steps (last"
+    line += f" {steps.max() / 1e3:.1f})" + f", {never.sum()} never" * bool(never.any())
     line += (
         f"; ends at {end[0]:.1f}, {100 * end[1]:.1f} % falls\n  `{kind}` {base.mean() / 1e3:.1f} k:"
     )

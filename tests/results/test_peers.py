@@ -112,7 +112,7 @@ def test_the_page_says_how_crossq_is_beside_best_ppo_and_sac():
     for name, steps in (("crossq-256-symmetric", crossq), ("crossq-256", mirrored)):
         run = fresh.runs_of(fresh.RUNS, name)
         assert sorted(table.reached(run, 38).level / 1e6) == sorted(steps)
-        assert fresh.SETTINGS[name] == (len(steps), "best")
+        assert fresh.SETTINGS[name] == (len(steps), "best", "g")
     times, again = stats.ratio(crossq, best), stats.ratio(mirrored, best)
     assert fresh.verdict(times, "best") == "CrossQ needs fewer"
     assert fresh.verdict(again, "best") == "no saving of `best` is shown"
@@ -1016,6 +1016,9 @@ def test_jobs_of_crossq_on_fresh_seeds_are_those_that_ran_with_symmetric_network
         "crossq-256": longer,
         "crossq-256-symmetric": longer.replace("--mirror", "--symmetric"),
         "crossq-64-symmetric": few.replace("--mirror", "--symmetric"),
+        "crossq-256-symmetric-c": longer.replace("--mirror", "--symmetric").replace(
+            "go1", "anymal_c"
+        ),
     }
     assert longer != ran and few.count("--mirror") == 1
     words = " ".join((EXPERIMENTS / "24_off_policy/README.md").read_text().split())
@@ -1040,7 +1043,7 @@ def test_the_rule_for_crossq_on_fresh_seeds_says_what_it_was_written_to_say(
         (tmp_path / name).write_text("seed,sim_steps,return,fall_rate\n" + "".join(rows))
 
     def said(base):
-        monkeypatch.setattr(fresh, "beside", lambda kind: base)
+        monkeypatch.setattr(fresh, "beside", lambda *_: base)
         monkeypatch.setattr(sys, "argv", ["fresh.py", str(tmp_path)])
         fresh.main()
         return capsys.readouterr().out.splitlines()
@@ -1050,7 +1053,8 @@ def test_the_rule_for_crossq_on_fresh_seeds_says_what_it_was_written_to_say(
     write("crossq-256-symmetric-103-107.csv", [100e3, 100e3, 200e3, 200e3, 1e9])
     write("crossq-256-103-107.csv.part", [100e3] * 5)
     write("crossq-64-symmetric-103-105.csv", [1e3] * 3)
-    first, line, beside, few, its = said(base)
+    first, line, beside, few, its, later = said(base)
+    assert later == "crossq-256-symmetric-c: 0 of 5 seeds, so the rule is open"
     assert first == "crossq-256: 0 of 8 seeds, so the rule is open"
     told = "crossq-256-symmetric, 5 seeds: first at 38 after 280.0 k steps (last 800.0), 1 never; ends at"
     assert line == told + " 36.0, 1.0 % falls"
@@ -1058,14 +1062,19 @@ def test_the_rule_for_crossq_on_fresh_seeds_says_what_it_was_written_to_say(
     assert few.startswith("crossq-64-symmetric, 3 seeds: first at 38 after 1.0 k")
     assert its.endswith(": CrossQ needs fewer")
     write("crossq-256-symmetric-103-107.csv", [200e3] * 4 + [400e3])
-    *_, line, _, _ = said(base)
+    *_, line, _, _, _ = said(base)
     assert line.endswith("CrossQ needs so many times the steps") and " 2.40 times" in line
     write("crossq-256-103-107.csv", [200e3] * 5)
     assert said(base)[0].startswith("crossq-256, 8 seeds: first at 38 after 2")
     known = fresh.runs_of(tmp_path, "crossq-256")
     assert [run[0]["seed"] for run in known] == [0, 1, 2, 3, 4, 100, 101, 102]
     monkeypatch.undo()
-    assert len(fresh.beside("best")) == 10 and len(fresh.beside("few")) == 30
+    assert len(fresh.beside("best", "g")) == 10 and len(fresh.beside("few", "g")) == 30
+    anymal = fresh.beside("best", "c")
+    words = " ".join((EXPERIMENTS / "24_off_policy/README.md").read_text().split())
+    assert (
+        f"ten of `best` ({anymal.mean() / 1e6:.2f} M to its level of {fresh.level('c'):g})" in words
+    )
 
 
 def test_symmetric_sac_treats_left_and_right_alike():
