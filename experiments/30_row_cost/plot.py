@@ -1,14 +1,16 @@
-"""Seconds and simulator steps to the level over the cost of a simulated row, `best` beside PPO: row_cost.png.
+"""Seconds and simulator steps to the level and to a walk over the cost of a simulated row, `best` beside PPO:
+row_cost.png.
 
     python experiments/30_row_cost/plot.py
 
-Points are measured, lines computed from the runs of Go1 with our kernel (table.py). Both axes are
+Points are measured, lines computed from the runs of Go1 with our kernel (table.py). All axes are
 logarithmic. Marks of places whose rows cost nearly the same would cover each other, so they stand a little
 aside (`apart`).
 """
 
 import importlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -28,48 +30,73 @@ LABELS = {  # place -> words
     "go1.laptop": "Go1, C MuJoCo",
 }
 LOOKS = {"best": (pictures.BLUE, "o", "best"), "ppo": (pictures.BLACK, "s", "PPO")}
+QUICK: dict[str, Any] = {"color": pictures.VERMILION, "marker": "^", "ms": 5.5}
+NONE: dict[str, Any] = {"marker": r"$\uparrow$", "ls": "", "ms": 9, "mew": 0.3}
 DASHES = {"a GPU": "-", "two cores": (0, (4, 2))}
 APART = 1.25  # marks of two places stand at costs with this ratio, or a larger one
 TEXT = {"fontsize": 8, "color": "0.25", "linespacing": 1.1}
+GOALS = {"level": "to the level", "walks": "to a walk"}  # of a Run
+BESIDE = {  # where how many seeds walk would cover a mark: points from its own
+    ("go1.exact", "best"): (-7, 0),
+    ("anymal_c.exact", "ppo"): (0, 9),
+}
 
 
 def main():
     found = table.runs()
-    page, ((seconds, steps),) = pictures.figure(1, 2, 4.6)
-    computed(seconds, found)
-    places = {}
+    page, axes = pictures.figure(2, 2, 7.6, sharex=True, sharey="col")
     pairs = [table.settings(found, place) for place in dict.fromkeys(run.place for run in found)]
     pairs = [both for both in pairs if both]
     costs = apart([table.cost(found, best) for best, _ in pairs])
-    for number, (ms, (best, ppos)) in enumerate(zip(costs, pairs, strict=True), 1):
-        fast, few = table.fastest_beside(best, ppos), table.sparing(ppos)
-        places[f"{LABELS.get(best.place, best.place)}, {best.batch.partition(',')[0]}"] = number
-        pair(seconds, ms, best.level[:, 2], fast.level[:, 2], number)
-        pair(steps, ms, table.steps(best) / 1e6, table.steps(few) / 1e6, number)
-        least = fast.level[:, 1].mean() / 1e6
-        if fast.method != few.method:
-            steps.plot(1.04 * ms, least, "s", color=pictures.GREY, ms=4.5, mfc="none", zorder=2)
-    for axis, words in ((seconds, "seconds of training"), (steps, "million simulator steps")):
+    places = {
+        f"{LABELS.get(best.place, best.place)}, {best.batch.partition(',')[0]}": number
+        for number, (best, _) in enumerate(pairs, 1)
+    }
+    for (goal, words), (seconds, steps) in zip(GOALS.items(), axes, strict=True):
+        computed(seconds, found, goal)
+        for number, (ms, (best, ppos)) in enumerate(zip(costs, pairs, strict=True), 1):
+            fast, few = table.fastest_beside(best, ppos), table.sparing(ppos)
+            if goal == "walks":
+                fast, few = (table.walking(run, ppos, k) for run, k in ((fast, 2), (few, 1)))
+            pair(seconds, ms, best, fast, goal, 2, number)
+            pair(steps, ms, best, few, goal, 1, number)
+            least = getattr(fast, goal)[:, 1] / 1e6
+            if fast.method != few.method and np.isfinite(least).all():
+                how: dict[str, Any] = {
+                    "color": pictures.GREY,
+                    "ms": 4.5,
+                    "mfc": "none",
+                    "zorder": 2,
+                }
+                steps.plot(1.04 * ms, least.mean(), "s", **how)
+            if (
+                goal == "level"
+                and (quick := table.fastest(table.variants(found, best))) is not best
+            ):
+                for axis, column, unit in ((seconds, 2, 1.0), (steps, 1, 1e6)):
+                    one = stats.moments(quick.level[:, column] / unit)
+                    axis.errorbar(
+                        ms * 0.84, one.mean, stats.half_of(one), capsize=2, lw=1, zorder=3, **QUICK
+                    )
+        for axis, what in ((seconds, "seconds of training"), (steps, "million simulator steps")):
+            axis.set_title(f"{what} {words}", loc="left")
+    for axis in axes.flat:
         pictures.log(axis, which="x")
         pictures.log(axis)
-        axis.set(xlim=(0.1, 100), xlabel="ms of a simulated row of 1024 robots")
-        axis.set_title(f"{words} to the level", loc="left")
-    seconds.set_ylim(0.25, 300)
-    steps.set_ylim(0.1, None)
-    drawn = [
-        run
-        for best, ppos in pairs
-        for run in (best, table.fastest_beside(best, ppos), table.sparing(ppos))
-    ]
-    legend(page, places, any(len(run.level) < table.OFTEN for run in drawn))
+    axes[0, 0].set(xlim=(0.12, 130), ylim=(0.25, 300))
+    axes[0, 1].set_ylim(0.1, 100)
+    pictures.outer(axes, "ms of a simulated row of 1024 robots")
+    legend(page, places)
     pictures.save(page, Path(__file__).with_name("row_cost"))
 
 
-def computed(axis, found) -> None:
+def computed(axis, found, goal: str) -> None:
     """What the runs of Go1 with our kernel would take if a row cost more; where they break even."""
     best, ppos = table.settings(found, "go1.kernel")
-    ppos = [run for run in ppos if len(run.level) >= table.MANY]
     before = table.cost(found, best)
+    if goal == "walks":
+        best, *ppos = map(table.to_walk, (best, *ppos))
+    ppos = [run for run in ppos if len(run.level) >= table.MANY and table.there(run) == 1]
     costs = table.COSTS[(table.COSTS >= before) & (table.COSTS <= 60)]
     mine = [stats.moments(column) for column in table.later(best, before, costs, 0.0).T]
     mean, half = (np.array([f(one) for one in mine]) for f in (lambda one: one.mean, stats.half_of))
@@ -97,43 +124,70 @@ def apart(costs: list[float]) -> np.ndarray:
     return np.exp(where)
 
 
-def pair(axis, ms: float, best, ppo, number: int) -> None:
-    """`best` and PPO at a place, joined by a line, with t intervals where there are `table.OFTEN` seeds;
-    below them its number."""
+def pair(axis, ms: float, best, ppo, goal: str, column: int, number: int) -> None:
+    """`best` and PPO at a place, joined by a line, and below them its number. With t intervals where there
+    are `table.OFTEN` seeds and all get to the goal; else open, with how many do, at their mean. An arrow
+    stands where the runs of a setting end of which none does."""
     from matplotlib.patheffects import withStroke
 
     means, ends = [], []
-    for values, (colour, mark, _), beside in zip(
-        (best, ppo), LOOKS.values(), (0.96, 1.04), strict=True
-    ):
-        one = stats.moments(values)
-        means.append(one.mean)
-        often = one.n >= table.OFTEN
-        look = {"color": colour, "mfc": colour if often else "white", "ms": 6, "zorder": 4}
-        bar = stats.half_of(one) if often else None
-        ends.append(one.mean - (bar or 0.0))
-        axis.errorbar(ms * beside, one.mean, bar, fmt=mark, capsize=2.5, lw=1.2, **look)
-    axis.plot([ms, ms], means, color="0.6", lw=0.8, zorder=1)
-    how = dict(textcoords="offset points", ha="center", va="top", fontsize=9, fontweight="bold")
     rim = [withStroke(linewidth=2, foreground="white")]  # where a computed line goes by
-    axis.annotate(f"{number}", (ms, min(ends)), (0, -6), path_effects=rim, zorder=5, **how)
+    how: dict[str, Any] = {"textcoords": "offset points", "path_effects": rim, "zorder": 5}
+    unit = 1e6 if column == 1 else 1.0
+    for run, (name, (colour, mark, _)), aside in zip(
+        (best, ppo), LOOKS.items(), (0.96, 1.04), strict=True
+    ):
+        values = (
+            table.steps(run) if (goal, column) == ("level", 1) else getattr(run, goal)[:, column]
+        )
+        one = stats.moments(values / unit)
+        if not one.n:
+            end = run.end / unit if column == 1 else run.last
+            axis.plot(ms * aside, end, color=colour, **NONE)
+            means.append(end)
+            continue
+        often = one.n == len(values) >= table.OFTEN
+        look: dict[str, Any] = {
+            "color": colour,
+            "mfc": colour if often else "white",
+            "ms": 6,
+            "zorder": 4,
+        }
+        bar = stats.half_of(one) if often else None
+        axis.errorbar(ms * aside, one.mean, bar, fmt=mark, capsize=2.5, lw=1.2, **look)
+        if one.n < len(values):
+            x, y = BESIDE.get((run.place, name), (7, 0))
+            where: dict[str, Any] = {
+                "ha": "center" if y else "right" if x < 0 else "left",
+                "va": "center",
+            }
+            words = f"{one.n} of {len(values)}"
+            axis.annotate(
+                words, (ms * aside, one.mean), (x, y), color=colour, fontsize=7, **where, **how
+            )
+        means.append(one.mean)
+        ends.append(one.mean - (bar or 0.0))
+    axis.plot([ms, ms], means, color="0.6", lw=0.8, zorder=1)
+    how |= {"ha": "center", "va": "top", "fontsize": 9, "fontweight": "bold"}
+    axis.annotate(f"{number}", (ms, min(ends)), (0, -6), **how)
 
 
-def legend(page, places: dict[str, int], seldom: bool) -> None:
-    """Above what the numbers are, below what marks and lines are; `seldom`: some have few seeds."""
+def legend(page, places: dict[str, int]) -> None:
+    """Above what the numbers are, below what marks and lines are."""
     from matplotlib.lines import Line2D
 
     def line(colour, dash):
         return Line2D([], [], color=colour, lw=1.4, ls=dash)
 
-    def mark(colour, shape, **more):
-        return Line2D([], [], color=colour, marker=shape, ls="", ms=6, **more)
+    def mark(colour, shape, ms=6.0, **more):
+        return Line2D([], [], color=colour, marker=shape, ls="", ms=ms, **more)
 
     colour, other = pictures.BLUE, pictures.BLACK
     keys = {words: mark(colour, shape) for colour, shape, words in LOOKS.values()}
-    if seldom:
-        keys["fewer than five seeds"] = mark(other, "s", mfc="white")
-    keys["steps of the PPO on the left"] = mark(pictures.GREY, "s", mfc="none")
+    keys["best for seconds"] = Line2D([], [], ls="", **QUICK)
+    keys["open: mean of the seeds that walk"] = mark(other, "s", mfc="white")
+    keys["no PPO walks by there"] = Line2D([], [], color=other, **NONE)
+    keys["steps of the PPO on the left"] = mark(pictures.GREY, "s", mfc="none", ms=4.5)
     keys["computed: Go1, best"] = line(colour, "-")
     keys["computed: PPO; a row of 4096 costs 1.35 times"] = line(other, DASHES["a GPU"])
     keys["computed: PPO; a row costs as its robots"] = line(other, DASHES["two cores"])

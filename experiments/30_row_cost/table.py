@@ -70,6 +70,7 @@ class Run(NamedTuple):
     walks: np.ndarray
     row: float  # ms, of a row of its robots; NaN: not measured
     end: float = math.nan  # simulator steps of a whole run
+    last: float = math.nan  # and its seconds, in the mean
 
 
 def main():
@@ -137,7 +138,8 @@ def of_job(batch: str, name: str, each: list[list[dict]]) -> Run:
     first = each[0][0]
     row = float(first.get("row_ms") or "nan")
     end = max(float(row["sim_steps"]) for rows in each for row in rows)
-    return Run(place, batch, method, robots(first["job"]), level, walking, row, end)
+    last = float(np.mean([float(rows[-1]["seconds"]) for rows in each]))
+    return Run(place, batch, method, robots(first["job"]), level, walking, row, end, last)
 
 
 def robots(job: str) -> int:
@@ -330,6 +332,19 @@ def sparing(some: list[Run]) -> Run:
     """With the fewest simulator steps in the mean, of those with two seeds or more, if there are any."""
     several = [run for run in some if len(run.level) > 1]
     return min(several or some, key=lambda run: steps(run).mean())
+
+
+def walking(run: Run, ppos: list[Run], column: int) -> Run:
+    """`run` of PPO, if all its seeds walk, else that of its settings with `OFTEN` seeds of which most do; of
+    equals that with the smaller mean of `column` until then, and `run` where none does."""
+    if np.isfinite(run.walks).all():
+        return run
+
+    def worth(one):
+        known = one.walks[np.isfinite(one.walks[:, column]), column]
+        return -len(known) / len(one.walks), known.mean() if len(known) else one is not run
+
+    return min([one for one in ppos if len(one.walks) >= OFTEN] or [run], key=worth)
 
 
 def break_even(
