@@ -617,7 +617,6 @@ def test_what_the_pages_of_seconds_say_of_a_g1_with_settings_for_seconds_is_so()
         8,
         6,
     )  # "Eight of ten", "Six of ten walk"
-    assert one in pages[f"{ROW_COST}/README"]
     assert f"on a sixth host eight do, after {there.mean():.2f} s" in pages[f"{ROW_COST}/settings"]
     all_ours, all_theirs = (
         [np.concatenate([of(run, k) for run in some.values()]) for k in (2, 1)]
@@ -815,8 +814,6 @@ def test_what_the_pages_of_seconds_say_of_a_g1_with_mujoco_warps_step_on_one_hos
         f" {best.walks[:, 2].mean():.2f} and {ppo.walks[:, 2].mean():.2f} s."
     )
     assert text in pages["README"]
-    text = "it is {:.1f} and {:.1f} s to the level."
-    assert text.format(*(one.mean() for one in later)) in pages["README"]
 
 
 def test_what_the_pages_of_seconds_say_of_ppo_with_512_robots_in_the_exact_tasks_is_so():
@@ -945,6 +942,7 @@ def test_what_the_pages_of_seconds_say_of_mjx_jax_is_so():
     power, cost = table.power_of("go1.jax"), table.cost(found, ours["best"])
     mine, its = (table.later(ours[m], cost, best.row, power) for m in ("best", "ppo2048"))
     walk = table.later(table.to_walk(ours["ppo2048"]), cost, best.row, power)
+    before_it_ran = table.later(ours["ppo2048"], cost, few.row, power)
     slow = table.later(ours["ppo1024"], cost, few.row, power)
     for measured, computed in ((best.level, mine), (ppo.level, its), (ppo.walks, walk)):
         gap = stats.difference(measured[:, 2], computed)
@@ -955,9 +953,7 @@ def test_what_the_pages_of_seconds_say_of_mjx_jax_is_so():
         f" {around(longer, words=' times as long')}, for {least}. PPO's five walk, after"
         f" {ppo.walks[:, 2].mean():.2f} s, of `best` [four by their end](runs.md#go1), after"
         f" {walked.mean():.2f}. On two other hosts it was {before.level[:, 2].mean():.2f} s with `best` and,"
-        f" with 1024 robots, {few.level[:, 2].mean():.2f}; there all walked. Before PPO with 2048 robots ran,"
-        " this page had computed 11.3 s for it from the runs with our kernel; at the cost of a row that was"
-        f" measured then it is {its.mean():.1f}, for `best` {mine.mean():.1f}."
+        f" with 1024 robots, {few.level[:, 2].mean():.2f}; there all walked."
     )
     assert text in pages["README"]
     rows = [one.level[:, 1] / one.robots for one in (best, ppo)]
@@ -971,6 +967,7 @@ def test_what_the_pages_of_seconds_say_of_mjx_jax_is_so():
         f"would take {mine.mean():.1f} s with `best` to the level, measured {cells[1]}, and"
         f" {its.mean():.1f} with PPO with 2048 robots, measured {cells[0]}; to a walk PPO would take"
         f" {walk.mean():.1f}, measured {table.interval(ppo.walks[:, 2])}. Of none",
+        f"Before PPO ran, README.md had computed {before_it_ran.mean():.1f} s for it, at the cost",
         f"would take {slow.mean():.1f} s to the level, measured {cells[2]}: {less}, because it needed"
         f" {steps[0].value:.2f} times the steps.",
         f"needs {rows[0].mean():.0f} rows of 1024 robots with `best` and {rows[1].mean():.0f} of 2048 with"
@@ -1054,7 +1051,128 @@ def test_what_the_pages_of_seconds_say_of_two_cores_is_so():
     text = text.format(*cells, seconds[2].mean(), *longer[1][1:]) + fewer.format(*ratios[1])
     assert text in pages["README"]
     even = table.even(best, [many, few], table.cost(found, best)).partition(" (")
-    assert f"[{even[0]} ms](runs.md#two-cores) ({even[2][:-1]}; computed)" in pages["README"]
+    assert f"[{even[0]} ms](runs.md#two-cores) ({even[2][:-1]}; computed), if a" in pages["README"]
+    # as if a row cost as those of PPO with 256 and 512 robots do
+    twice = many.row / few.row
+    half = np.mean([best.row, many.row])  # a row of 512 robots
+    ms = {1.0: 2 * half, np.log2(twice): twice * half}
+    assert (
+        [f"{x:.0f}" for x in ms.values()]
+        == [f"{table.cost(found, best):.0f}", "32"]
+        == ["55", "32"]
+    )
+    of_both = [table.break_even(best, [many, few], before, power) for power, before in ms.items()]
+    assert f"{of_both[0][0]:.2g}" == even[0]
+    less = "{:.0f} ({:.0f} to {:.0f})".format(*of_both[1])
+    text = f"one of 1024 costs 32 ms, not 55, and the break-even is {less}."
+    assert text in pages["README"]
+    at_512 = {f"{one[0] / 2**power:.1f}" for one, power in zip(of_both, ms, strict=True)}
+    text = f"do, {twice:.2f} times for twice the robots, one of 1024 takes 32 ms, and the break-even is"
+    text += f" {less}. In ms of 512 robots, which took {half:.0f} in the mean, it is {', '.join(at_512)} in"
+    assert text in pages["runs"]
+
+
+def test_where_no_go1_ran_and_what_was_not_tuned_is_as_the_pages_of_seconds_say():
+    """Between which costs no Go1 ran; where PPO's most robots are the fastest; what 4096 would take, from the
+    runs with our kernel; where `best` has no settings for seconds."""
+    table = script(f"{ROW_COST}/table")
+    found = table.runs()
+    pages = {
+        name: " ".join((EXPERIMENTS / ROW_COST / f"{name}.md").read_text().split())
+        for name in ("README", "computed", "settings", "next")
+    }
+    best, ppos = table.settings(found, "go1.kernel")
+    own = table.cost(found, best)
+    level = table.break_even(best, ppos, own, table.POWERS["a GPU"])
+    walk = table.even(table.to_walk(best), [table.to_walk(x) for x in ppos], own)
+    go1 = [table.cost(found, run) for run in found if run.place.startswith("go1.")]
+    below, above = max(x for x in go1 if x < level[0]), min(x for x in go1 if x > level[0])
+    for text in (
+        "more than {:.2f} ms ({:.2f} to {:.2f})".format(*level),
+        f"sooner from {walk.replace(' (', ' ms on (')}.",
+        f"No Go1 ran between {below:.2f} and {above:.1f} ms.",
+    ):
+        assert text in pages["README"], text
+    assert below < level[0] < float(walk.split()[0]) < above
+    for place, most in (
+        ("go1.warp", 2048),
+        ("go1.exact", 2048),
+        ("anymal_c.exact", 2048),
+        ("go1.jax", 2048),
+        ("go1.laptop", 512),
+        ("go2.rough", 4096),
+    ):
+        mine, its = table.settings(found, place)
+        ran = [x.robots for x in found if x.place == place and x.method.startswith("ppo")]
+        assert max(ran) == most == table.fastest_beside(mine, its).robots
+        # with MJX-JAX 1024 robots, on another host, take as long
+        assert table.fastest(its).robots == (1024 if place == "go1.jax" else most)
+        if place not in ("go1.laptop", "go2.rough"):
+            assert not any(
+                x.place == place and x.method.startswith(("best-", "tune-")) for x in found
+            )
+    assert not any(x.place == "g1.warp" and x.method.startswith("best-") for x in found)
+    text = "2048 are the most that ran on a Go1 and an ANYmal-C, and the fastest (with MJX-JAX as fast as"
+    assert f"{text} 1024), on two cores 512; on rough ground 4096 are the most." in pages["README"]
+    text = "and `best` with MuJoCo Warp, MJX-JAX and in the exact tasks."
+    assert text in pages["README"]
+    assert "**With MuJoCo Warp, MJX-JAX and in the exact tasks** no setting" in pages["settings"]
+    # PPO with 4096 robots
+    run, day = {one[:3]: one for one in found}, "H200, 2026-11-27"
+    power = table.POWERS["a GPU"]
+    warp, jax = (table.cost(found, table.settings(found, x)[0]) for x in ("go1.warp", "go1.jax"))
+
+    def both(host, ms, way=lambda one: one):
+        """Seconds with 4096 and with 2048 robots, of which no difference is shown."""
+        some = [way(run["go1.kernel", day + host, f"ppo{n}"]) for n in (4096, 2048)]
+        took = [table.later(one, table.cost(found, one), ms, power) for one in some]
+        gap = stats.difference(*took)
+        assert gap.low < 0 < gap.high
+        return [one.mean() for one in took]
+
+    second = ", second host"
+    first, other = both("", warp), both(second, warp)
+    walks = *both("", warp, table.to_walk), *both(second, warp, table.to_walk)
+    several = [run["go1.kernel", day, f"ppo{n}"] for n in (4096, 2048)]
+    rows = [(one.level[:, 1] / one.robots).mean() for one in several]
+    dear = [(one.robots / 1024) ** power for one in several]
+    text = "4096 would [take as long](computed.md#computed-beside-measured) with MuJoCo Warp, {:.1f} instead"
+    text += " of {:.1f} s: {:.0f} rows of {:.2f} times the cost, not {:.0f} of {:.2f}."
+    assert text.format(*first, rows[0], dear[0], rows[1], dear[1]) in pages["README"]
+    for text in (
+        f"would take {first[0]:.1f} s to the level by the runs of 2026-11-27: {rows[0]:.0f} rows of"
+        f" {dear[0]:.2f} times the cost of 1024 robots are {rows[0] * dear[0]:.0f} of these, {rows[1]:.0f} of"
+        f" {dear[1]:.2f} with 2048 robots {rows[1] * dear[1]:.0f}.",
+        "On the second host it is {:.1f} and {:.1f} s.".format(*other),
+        "To a walk it would take {:.1f} s, with 2048 robots {:.1f}, on the second host {:.1f} and {:.1f}."
+        " With MJX-JAX it is {:.1f} and {:.1f} s".format(*walks, *both("", jax)),
+    ):
+        assert text in pages["computed"], text
+    assert "ppo4096" in [x.method for x in ppos]  # "count PPO with 4096 robots, too"
+    slowest = run["anymal_c.exact", "H200, 2026-11-28", "ppo2048"].level[:, 0].max()
+    assert f"with 2048 robots is at the level at iteration {slowest:.0f}" in pages["next"]
+
+
+def test_what_ran_next_has_enough_iterations_to_get_to_the_level():
+    """PPO with 4096 robots, by its runs with our kernel and those of half as many at the place."""
+    table, measure = script(f"{ROW_COST}/table"), script(f"{ROW_COST}/run")
+    lines = [
+        line.split() for line in (EXPERIMENTS / ROW_COST / "jobs.txt").read_text().splitlines()
+    ]
+    jobs = {name: measure.read(job, fields) for name, job, *fields in lines}
+    found = table.runs()
+    kernel = [
+        x for x in found if (x.place, x.method) == ("go1.kernel", "ppo4096") and len(x.level) > 1
+    ]
+    kernel_walks = max(one.walks[:, 0].max() for one in kernel)
+    for place in ("go1.warp", "go1.exact", "anymal_c.exact", "go1.jax"):
+        job, half = jobs[f"{place}.ppo4096"], jobs[f"{place}.ppo2048"]
+        (ran,) = [x for x in found if (x.place, x.method) == (place, "ppo2048")]
+        ends = measure.ends(job.config)[-1]
+        assert ends >= max(kernel_walks, ran.level[:, 0].max())
+        assert job.config.rollout.num_envs == 4096 and job.seeds == 5
+        same = half.text.replace("num_envs=2048", "num_envs=4096").rpartition(" ")[0]
+        assert job.text.rpartition(" ")[0] == same and job.episodes == half.episodes
 
 
 def test_marks_of_rows_that_cost_nearly_the_same_stand_apart():
@@ -1065,9 +1183,53 @@ def test_marks_of_rows_that_cost_nearly_the_same_stand_apart():
     assert np.prod(where[1:4]) == pytest.approx(2.2 * 2.33 * 2.44)  # about where they were
 
 
-def test_seconds_and_steps_are_drawn_over_the_cost_of_a_row(drawn):
-    script(f"{ROW_COST}/plot").main()
+def test_seconds_and_steps_are_drawn_over_the_cost_of_a_row(drawn, monkeypatch):
+    """To the level and to a walk; of whom not all seeds walk, an open mark says how many do."""
+    plot, pages = script(f"{ROW_COST}/plot"), []
+    save = plot.pictures.save
+    monkeypatch.setattr(
+        plot.pictures, "save", lambda page, path: (pages.append(page), save(page, path))
+    )
+    plot.main()
     assert drawn == ["row_cost"]
+    axes = pages[0].axes
+    assert [axis.get_title(loc="left") for axis in axes] == [
+        f"{what} to {goal}"
+        for goal in ("the level", "a walk")
+        for what in ("seconds of training", "million simulator steps")
+    ]
+    words = [[text.get_text() for text in axis.texts] for axis in axes]
+    assert all([x for x in some if x.isdigit()] == [*"123456789"] for some in words)
+    some = [sorted(x for x in few if " of " in x) for few in words]
+    assert some[:2] == [[], []]
+    # ANYmal-C with PPO, the exact Go1 with `best`, then PPO on rough ground and on two cores, `best` with JAX
+    assert some[2] == some[3] == ["1 of 5", "2 of 5", *["4 of 5"] * 3]
+    even = [text for few in words for text in few if text.startswith("Go1 breaks even")]
+    assert even == [
+        "Go1 breaks even:\n0.39 ms (0.29 to 0.49)",
+        "Go1 breaks even:\n0.88 ms (0.59 to 1.3)",
+    ]
+    marks = [[line.get_marker() for line in axis.lines] for axis in axes]
+    assert [few.count("^") for few in marks] == [3, 3, 0, 0]  # `best` for seconds
+    assert [few.count(plot.NONE["marker"]) for few in marks] == [0, 0, 1, 1]  # no PPO walks
+
+
+def test_to_a_walk_ppo_is_drawn_with_the_setting_of_which_most_seeds_walk():
+    table = script(f"{ROW_COST}/table")
+
+    def run(method, *seconds):
+        walks = np.array([[np.nan if x is None else x] * 3 for x in seconds], float)
+        return table.Run("go1.warp", "G, day", method, 1024, walks, walks, 1.0)
+
+    every, some = run("ppo512", 9, 9, 9, 9, 9), run("ppo256", 1, 1, 1, 1, None)
+    slow, never = run("ppo1024", 10, 10, 10, 10, 10), run("ppo2048", *[None] * 5)
+    assert table.walking(slow, [every, some, slow], 2) is slow  # all of its own
+    assert table.walking(some, [slow, some, every], 2) is every
+    assert table.walking(never, [never, some], 2) is some
+    one = run("ppo64", 1)  # a single seed says little
+    assert table.walking(some, [one, some], 2) is some
+    also = run("ppo128", *[None] * 5)
+    assert table.walking(never, [also, never], 2) is never
 
 
 def test_seconds_are_counted_to_the_level_and_until_it_walks():
@@ -1081,6 +1243,7 @@ def test_seconds_are_counted_to_the_level_and_until_it_walks():
             found.append(about | row)
     (run,) = table.of_rows(found)
     assert run[:4] == ("go1.kernel", "G, day", "best", 512) and run.row == 0.2
+    assert run.end == 40_000 and run.last == np.mean([80, 160, 240])  # of whole runs
     # a seed's clock is the median of its runs: 60 and 120; it walks after the relapse at 30
     np.testing.assert_allclose(run.level, [[20, 20_000, 60], [20, 20_000, 120]])
     np.testing.assert_allclose(run.walks, [[40, 40_000, 120], [40, 40_000, 240]])
@@ -1209,7 +1372,7 @@ def test_jobs_of_the_row_costs_are_valid_and_of_places_that_have_a_name():
     measure = script(f"{ROW_COST}/run")
     places = script(f"{ROW_COST}/plot").LABELS
     lines = (EXPERIMENTS / ROW_COST / "jobs.txt").read_text().splitlines()
-    assert len({line.split()[0] for line in lines}) == len(lines) == 49
+    assert len({line.split()[0] for line in lines}) == len(lines) == 53
     for line in lines:
         name, job, *fields = line.split()
         place, _, method = name.rpartition(".")
