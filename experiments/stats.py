@@ -108,6 +108,26 @@ def difference(one, other) -> Around:
     return Around(middle, float(middle - half), float(middle + half))
 
 
+def spreads(one, other) -> float:
+    """p (two-sided) of the F test of two sample variances: small where the deviations differ."""
+    one, other = moments(one), moments(other)
+    if min(one.n, other.n) < 2 or not min(one.sd, other.sd) > 0:
+        return math.nan
+    df, times = (one.n - 1, other.n - 1), (one.sd / other.sd) ** 2
+    return float(2 * min(special.fdtr(*df, times), special.fdtrc(*df, times)))
+
+
+def correlation(one, other) -> Around:
+    """Pearson's r of pairs, and Fisher's 95 % interval: tanh(artanh r +- 1.96 / sqrt(n - 3)).
+
+    It holds for pairs that are independent; cells of a grid are not quite.
+    """
+    r = float(np.corrcoef(one, other)[0, 1])
+    half = float(special.ndtri(0.5 + LEVEL / 2)) / math.sqrt(len(one) - 3)
+    low, high = np.tanh(np.arctanh(r) + np.array([-half, half]))
+    return Around(r, float(low), float(high))
+
+
 def equivalence(one, other, margin: float) -> float:
     """p of two one-sided Welch tests: small where the means are shown to differ by less than `margin`.
 

@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.stats
 import toy_env
 from result_files import EXPERIMENTS, ROOT, script
 
@@ -147,9 +148,13 @@ def test_the_times_of_table_i_are_those_of_the_page():
     shown, _, said = script("10_ablation/times").table(rows).rpartition("\n")
     assert shown in page
     words = " ".join(page.split())
-    assert f"is {float(said.split(': ')[1])} over these {len(rows)} cells" in words
     ours = {(row["envs"], row["horizon"]): row["ms"] / 2 for row in rows}
     theirs = {(row["envs"], row["horizon"]): row["time_min"] for row in paper.table("ablation")}
+    both = stats.correlation(*np.log([[of[cell] for cell in ours] for of in (ours, theirs)]))
+    r = said.split(": ")[1]
+    assert f"{both.value:.3f}" == r and len(rows) == 30
+    around = "({:.2f} to {:.2f})".format(*both[1:])
+    assert f"is {r} over these 30 cells {around}. Training" in words
     faster = [60 * theirs[cell] / ours[cell] for cell in ours]
     assert f"{min(faster):.0f} to {max(faster):.0f} times as fast" in words
     few, many = ([of[8192, 16] / of[count, 16] for of in (ours, theirs)] for count in (512, 1024))
@@ -182,9 +187,103 @@ def test_the_times_of_table_i_are_those_of_the_page():
     seconds = ours.values()
     assert f"| {min(seconds):.1f} to {max(seconds):.1f} s, {len(rows)} cells" in told
     text = f"{min(faster):.0f} to {max(faster):.0f} times as fast; correlation of logarithms"
-    assert f"{text} {said.split(': ')[1]}. From" in told
+    assert f"{text} {r} {around}. From" in told
     text = "From 1024 to 8192 robots (N = 16) {:.1f} times as long, there {:.1f} |"
     assert text.format(*many) in told
+
+
+def row_on(page, begins):
+    """The row of a table that begins so."""
+    (line,) = [x for x in page.splitlines() if x.startswith(f"| {begins}")]
+    return line
+
+
+def test_the_claims_that_had_no_test_have_one():
+    """Iterations by Welch, spreads by F, std in the end by Welch and Holm, correlations by Fisher."""
+    names = "paper 10_ablation 12_platforms 14_efficiency 15_curves".split()
+    pages = {name: (EXPERIMENTS / f"{name}/README.md").read_text() for name in names}
+    words = {name: " ".join(page.split()) for name, page in pages.items()}
+    # fewer iterations to the paper's return
+    with (EXPERIMENTS / "14_efficiency/results.csv").open(newline="") as file:
+        rows = [r for r in csv.DictReader(file) if r["threshold"] == "paper, 30.5"]
+    some = {}
+    for row in rows:
+        numbers = (float(row[f"iterations_{x}"]) for x in ("mean", "sd"))
+        some[row["variant"]] = stats.Moments(*numbers, int(row["seeds"]))
+        assert row["robot"] == "go1"
+        assert row["variant"] == "ppo12" or row["success_rate_pct"] == "100"
+    two, ramp, none, ppo = (some[x] for x in ("dyna2", "dyna4", "dyna4_noschedule", "ppo16"))
+    assert {one.n for one in (two, ramp, none, ppo)} == {10}
+    p = [stats.welch_of(one, ppo) for one in (two, ramp, none)]
+    text = "is not shown**: {:.0f} (2-step), {:.0f} (ramp) and {:.0f} (no ramp) beside {:.0f} of PPO-16, p "
+    text = text.format(two.mean, ramp.mean, none.mean, ppo.mean)
+    assert text + "{:.2f}, {:.2f} and {:.2f}, uncorrected".format(*p) in words["14_efficiency"]
+    text = "| {:.0f}, {:.0f} ({:.0f} without ramp); PPO-16 {:.0f}; 10 seeds, p {:.2f}, {:.2f} ({:.2f}) | "
+    text = text.format(two.mean, ramp.mean, none.mean, ppo.mean, *p) + "**not shown** |"
+    assert text in row_on(pages["paper"], "fewer iterations")
+    # spreads of the best return, and the policy's std in the end
+    folder = EXPERIMENTS / "12_platforms/results"
+    spreads, deviations, noise = {}, {}, {}
+    for robot, name in itertools.product(paper.ROBOTS, ("dyna2", "dyna4_noschedule", "dyna4")):
+        tail, real = (paper.load(folder, f"{robot}_{x}") for x in (name, "ppo16"))
+        peaks = paper.peak(tail), paper.peak(real)
+        spreads[name, robot] = stats.spreads(*peaks)
+        deviations[name, robot] = [x.std(ddof=1) for x in peaks]
+        ends = [x.summary["policy_std"] for x in (tail, real)]
+        noise[name, robot] = stats.difference(*ends), stats.welch_of(*ends), np.mean(ends, 1)
+    ramped, plain = ([spreads[x, r] for r in paper.ROBOTS] for x in ("dyna4", "dyna4_noschedule"))
+    text = "(p {:.2f}, {:.2f}, {:.2f}, {:.2f} with the ramp, {:.2f} at least without)"
+    assert text.format(*ramped, min(plain)) in words["12_platforms"]
+    smaller = {key for key, (ours, theirs) in deviations.items() if ours < theirs}
+    assert {robot for name, robot in smaller if name == "dyna4"} == {"go2"}
+    found = {robot for name, robot in smaller if name == "dyna4_noschedule"}
+    assert found == {"go2", "anymal_d"}
+    theirs = []
+    for robot in paper.ROBOTS:
+        printed = [
+            paper.pick(paper.table("platforms"), robot=robot, variant=x)["max_reward_sd"]
+            for x in ("dyna4", "ppo16")
+        ]
+        theirs.append(stats.spreads(*(stats.Moments(0, sd, 3) for sd in printed)))
+    sd = [[deviations[x, r] for r in paper.ROBOTS] for x in ("dyna4", "dyna4_noschedule")]
+    sd = [*(x[0] for x in sd[0]), *(x[1] for x in sd[0]), *(x[0] for x in sd[1])]
+    text = "sd {:.1f}, {:.1f}, {:.1f}, {:.1f} against {:.1f}, {:.1f}, {:.1f}, {:.1f}; F tests p ".format(
+        *sd
+    )
+    text += "{:.2f}, {:.2f}, {:.2f}, {:.2f}; without ramp ".format(*ramped)
+    text += "{:.1f}, {:.1f}, {:.1f}, {:.1f}".format(*sd[8:]) + f" ({min(plain):.2f} at least)"
+    text += f"; the paper's by the same test {min(theirs):.2f} at least | **not shown** |"
+    assert text in row_on(pages["paper"], "lower spread")
+    holm = dict(zip(noise, stats.holm([p for _, p, _ in noise.values()]), strict=True))
+    (shown,) = [key for key, p in holm.items() if p < 0.05]
+    assert shown == ("dyna4", "go1")
+    more, p, means = noise[shown]
+    around = "{:.3f} ({:.3f} to {:.3f}".format(*more)
+    other = min(p for key, p in holm.items() if key != shown)
+    text = f"ramped tail: {around}; p {p:.4f}, Holm over all 12 {holm[shown]:.3f}; the others {other:.2f} at"
+    assert text in words["15_curves"]
+    text = "| {:.2f}; PPO-16 {:.2f} (Go1): ".format(*means)
+    text += f"{around.replace(' (', ' higher (')}; Holm over 12 {holm[shown]:.3f}); "
+    every = [noise["dyna4", r][0].value for r in paper.ROBOTS]
+    text += f"{min(every):.2f} to {max(every):.2f} on all four, on the others not shown |"
+    assert text in row_on(pages["paper"], "the policy becomes as certain")
+    # std and return over the cells of Table I
+    cells = paper.rows(EXPERIMENTS / "10_ablation/results.csv")
+    ours, theirs = (
+        stats.correlation([cell[x] for cell in cells], [cell[y] for cell in cells])
+        for x, y in (
+            ("policy_std_mean", "max_reward_mean"),
+            ("paper_policy_std", "paper_max_reward"),
+        )
+    )
+    assert len(cells) == 30
+    told = ["{:.2f} ({:.2f} to {:.2f})".format(*r) for r in (ours, theirs)]
+    z = (np.arctanh(ours.value) - np.arctanh(theirs.value)) / np.sqrt(2 / (30 - 3))
+    closer = 2 * scipy.stats.norm.sf(abs(z))
+    text = f"| {told[0]} | {told[1]}; it is closer there (p {closer:.3f}) |"
+    assert text in row_on(pages["10_ablation"], "correlation of policy std")
+    text = f"| correlation {theirs.value:.2f} | {told[0].replace(' (', ' over 30 cells (')} | **yes**, less"
+    assert text in row_on(pages["paper"], "a policy's std falls")
 
 
 @pytest.mark.parametrize("name", ["11_model", "12_platforms", "13_step_time", "16_gaits"])

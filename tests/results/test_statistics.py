@@ -47,6 +47,22 @@ def test_the_difference_has_the_interval_of_scipy():
     assert found.value == pytest.approx(np.mean(ONE) - np.mean(OTHER))
 
 
+def test_spreads_and_correlations_are_those_of_scipy():
+    """The F test by Welch's moments too; Fisher's interval; NaN of one seed."""
+    times = np.var(ONE, ddof=1) / np.var(OTHER, ddof=1)
+    tails = scipy_stats.f.cdf(times, 3, 4), scipy_stats.f.sf(times, 3, 4)
+    assert stats.spreads(ONE, OTHER) == pytest.approx(2 * min(tails))
+    assert stats.spreads(OTHER, ONE) == pytest.approx(2 * min(tails))
+    printed = stats.Moments(0, 1.4, 10), stats.Moments(0, 1.0, 10)
+    assert stats.spreads(*printed) == pytest.approx(2 * scipy_stats.f.sf(1.96, 9, 9))
+    assert np.isnan([stats.spreads([1.0], ONE), stats.spreads([2.0, 2.0], ONE)]).all()
+    x, y = np.random.default_rng(0).normal(size=(2, 12))
+    expected = scipy_stats.pearsonr(x, x + y)
+    ends = expected.confidence_interval(0.95)
+    found = (expected.statistic, ends.low, ends.high)
+    assert stats.correlation(x, x + y) == pytest.approx(found)
+
+
 def test_equivalence_is_two_tests_of_scipy_and_the_90_percent_interval_within_the_margin():
     for margin in (0.5, 3.0, 8.0, 12.0):
         below, above = np.array(ONE) + margin, np.array(ONE) - margin
