@@ -325,6 +325,19 @@ def test_the_page_says_what_the_tables_do_not(gpu):
     assert f"The lowest is {min(others):.2f} of PPO-16" in words
 
 
+def test_other_pages_say_that_real_rows_alone_fail_too(gpu):
+    """What 8 real rows have without a tail, and with one of 16; no difference is shown."""
+    pairs = table.TABLES["How long a tail may be, beside its real rows alone"]
+    found = [one for pair, one in table.found(gpu, pairs).items() if pair.job == "dose16"]
+    assert len(found) == 2 and all(one.p > 0.05 for one in found)
+    means = [np.mean(table.values(gpu, f"{x}-{r}", 500)) for x in ("rows8", "dose16") for r in "gc"]
+    text = "8 real rows alone fail, too ({:.1f} on a Go1, {:.1f} on an ANYmal-C, with such tails "
+    text += "{:.1f} and {:.1f}): worse is not shown"
+    assert text.format(*means) in other_page("paper")
+    for folder in ("12_platforms", "14_efficiency"):
+        assert "new weights in each fit" in other_page(folder)
+
+
 def test_the_page_says_what_new_weights_do(gpu):
     """Shares, seeds and errors of `cold` with a ramp or many epochs; the paper's shares are of its Table."""
     words = " ".join((HERE / "README.md").read_text().split())

@@ -62,6 +62,21 @@ def test_the_tables_of_the_humanoid_are_those_of_its_runs(humanoid):
         assert agrees(name, *page.pop(label)), label
     assert page.pop("the model, from real rows drawn at random (`best`)") == [runs["whole"][1]]
     assert len(page) == 1
+    names = [name for name in runs if name.startswith("control-")] + ["whole"]
+    seeds = {name: len(runs[name][1].split(", ")) for name in names}
+    assert len(seeds) == 7 and seeds.pop("whole") == 3 and {*seeds.values()} == {2}
+    more = {name: {*runs[f"control-real{name}-15"][1].split(", ")} for name in (4, 24)}
+    assert more == {4: {"never"}, 24: {"never"}}
+    perfect, ours = (
+        np.mean([float(x) for x in runs[name][1].split(", ")])
+        for name in ("control-simulator", "control-last")
+    )
+    told = (
+        "By two seeds a line, three of `best`, it is the model that saves steps, not the number of"
+    )
+    told += " updates: with 15 epochs a G1 walks neither on 4 real rows, which may be too few by themselves,"
+    told += f" nor on 24. A perfect model would save {100 * (1 - perfect / ours):.0f} % more."
+    assert told in text
     page = rows_on("parts", "What each part is worth")
     for label, name in (
         ("`best`", "whole"),

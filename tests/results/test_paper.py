@@ -286,6 +286,28 @@ def test_the_claims_that_had_no_test_have_one():
     assert text in row_on(pages["paper"], "a policy's std falls")
 
 
+def test_what_a_cheap_fit_saves_is_said_with_its_epochs():
+    """`fast` beside PPO-16, taking turns; with 5 epochs instead of 3.3 by computation; equal on Go1."""
+    pages = [(EXPERIMENTS / f"{name}/README.md").read_text() for name in ("paper", "13_step_time")]
+    claim, page = row_on(pages[0], "less time"), " ".join(pages[1].split())
+    bench = json.loads((EXPERIMENTS / "03_speed/results/bench_bfloat16.json").read_text())
+    saved = 100 * (1 - bench["versus"]["ratio"])
+    assert f"`fast`, bfloat16, -{saved:.1f} % there (one run with 3.3 epochs of fitting" in claim
+    fit = bench["configs"]["configs/go1.py:fast"]["ms"]["fit"]
+    real, tail = np.median(bench["versus"]["ms"], 0)
+    longer = 100 * (1 - (tail + fit * (5 / (10 / 3) - 1)) / real)
+    assert f"about -{longer:.0f} % with 5, computed" in claim
+    assert f"takes {saved:.1f} % less time an iteration than PPO-16" in page
+    assert f"fit of 3.3 epochs; with 5 about {longer:.0f} %, computed;" in page
+    row = paper.pick(
+        paper.rows(EXPERIMENTS / "12_platforms/results.csv"), robot="go1", variant="fast"
+    )
+    p, holm = (row[f"evaluated_return_p_equal{x}"] for x in ("", "_holm"))
+    assert f"equal to PPO-16 on Go1 (p {p:.3f}, Holm {holm:.3f}). Its seconds" in claim
+    config = config_lib.load("configs/go1.py:fast")
+    assert config.model.late_epochs == 5 and row["impl"] == "warp"
+
+
 @pytest.mark.parametrize("name", ["11_model", "12_platforms", "13_step_time", "16_gaits"])
 def test_a_table_says_what_has_not_been_run(name, tmp_path, drawn):
     script(name).make(tmp_path)
