@@ -16,7 +16,13 @@ from experiments import paper, stats
 
 
 @pytest.mark.parametrize(
-    "path", ["21_less/ppo_grid.txt", "21_less/ppo_others.txt", "23_untuned/ppo.txt"]
+    "path",
+    [
+        "21_less/ppo_grid.txt",
+        "21_less/ppo_edges.txt",
+        "21_less/ppo_others.txt",
+        "23_untuned/ppo.txt",
+    ],
 )
 def test_jobs_that_tune_ppo_are_valid_plain_ppo_of_their_names(path, monkeypatch):
     """No model writes a row; robots and KL are those of the name; seeds are not the fresh ones."""
@@ -123,13 +129,182 @@ def test_the_table_of_ppos_grid_is_that_of_its_runs():
             if r["name"][0] not in "qw"
         }
     counts = [sum(batch in some for batch, *_ in runs) for some in ("123", "4", "5")]
-    assert counts == [205, 120, 168] and "21 in 205 runs on two" in " ".join(
-        (LESS / "ppo.md").read_text().split()
+    front, page, fewer = (
+        " ".join((LESS / f"{x}.md").read_text().split()) for x in ("README", "ppo", "falls")
     )
+    text = (
+        "PPO was chosen in {}: 21 settings in {} on two robots, 12 in {} on two, 14 in {} on four"
+    )
+    assert text.format(sum(counts), *counts) in page
+    assert f"47 settings in {sum(counts)} runs, not " in front and 21 + 12 + 14 == 47
+    tuned = {name: chosen_in(name) for name in ("tuning", "falls")}
+    text = "`best` was chosen in {} runs on four robots: {} settings in {} (`tuning.csv.xz`;"
+    total = [sum(many) for many in zip(*tuned.values(), strict=True)]
+    assert text.format(total[1], *tuned["tuning"]) in page
+    assert "then {} in {} [for fewer falls]".format(*tuned["falls"]) in page
+    assert "{} settings in {} runs, after `task.carry_on`".format(*tuned["falls"]) in fewer
+    assert "not {} in {};".format(*total) in front
+
+
+def chosen_in(name):
+    """Settings of `best` in a packed file, and their runs: PPO's, and what was asked of a finished `best`, do
+    not count."""
+    with lzma.open(LESS / f"results/{name}.csv.xz", "rt", newline="") as file:
+        rows = [
+            row
+            for row in csv.DictReader(file)
+            if row["batch"].isdigit() and "ppo24" not in row["name"]
+        ]
+    settings = {
+        frozenset(x for x in row["job"].split()[1:] if not x.startswith("run.")) for row in rows
+    }
+    if name == "falls":  # under one name one setting
+        settings = {row["name"].rpartition("-")[0] for row in rows}
+    return len(settings), len({(row["batch"], row["name"], row["seed"]) for row in rows})
+
+
+def fields_of(path):
+    """`name -> (robot, fields without those of run)` of a file of jobs."""
+    found = {}
+    for name, line in paper.jobs(LESS / path).items():
+        robot, *fields = line.split()
+        fields = dict(field.split("=", 1) for field in fields)
+        found[name] = robot, {k: v for k, v in fields.items() if not k.startswith("run.")}
+    return found
+
+
+def test_jobs_beyond_the_edges_change_one_thing_of_a_winner():
+    """Of each robot's setting for the level or to walk; none has run; the page says which, and the rule."""
+    edges, grid, head = map(fields_of, ("ppo_edges.txt", "ppo_grid.txt", "headline.txt"))
+    assert len(edges) == 32 and "32 jobs [beyond" in (LESS / "README.md").read_text()
+    ran = [job for jobs in (grid, head) for job in jobs.values()]
+    values = [tuple(sorted(fields.items())) for _, fields in edges.values()]
+    assert len({*zip((x for x, _ in edges.values()), values, strict=True)}) == 32
+    changed = {}
+    for name, (robot, fields) in edges.items():
+        assert (robot, fields) not in ran, name
+        goal = "walk" if name.startswith("edge-walk-") else "level"
+        was, winner = head[f"ppo-{goal}-{name[-1]}"]
+        assert was == robot and winner.keys() == fields.keys()
+        other = {k: v for k, v in fields.items() if winner[k] != v}
+        if name.startswith("edge-128-kl4-gamma98-"):  # of a Go1 its KL is that of the winner
+            assert {k: v for k, v in other.items() if k != "ppo.desired_kl"} == {
+                "ppo.gamma": "0.98"
+            }
+            assert fields["ppo.desired_kl"] == "0.04"
+            continue
+        ((key, value),) = other.items()
+        changed.setdefault((goal, name[-1], key), set()).add(value)
+    for letter in "ghcd":
+        assert changed.pop(("level", letter, "ppo.gamma")) == {"0.95", "0.96"}
+        for goal in ("level", "walk"):
+            assert changed.pop((goal, letter, "ppo.lambda_")) == {"0.8", "0.85"}
+    assert changed.pop(("level", "d", "ppo.desired_kl")) == {"0.06", "0.07"}
+    assert changed == {("walk", x, "ppo.gamma"): {"0.99"} for x in "gc"}
+    # runs are as long and as often evaluated as those of the grid, on its seeds
+    mine, theirs = (paper.jobs(LESS / x) for x in ("ppo_edges.txt", "ppo_grid.txt"))
+
+    def runs(jobs):
+        found = {}
+        for line in jobs.values():
+            fields = dict(field.split("=", 1) for field in line.split()[1:])
+            late = fields["schedule.late_from"]
+            rest = {k: v for k, v in fields.items() if k.startswith("run.")}
+            found.setdefault(fields["rollout.num_envs"], set()).add((late, *sorted(rest.items())))
+        return found
+
+    assert runs(mine).items() <= runs(theirs).items()
+    # what the pages say of the winners
+    front, page = (" ".join((LESS / x).read_text().split()) for x in ("README.md", "ppo.md"))
+    won = {goal: [head[f"ppo-{goal}-{x}"][1] for x in "ghcd"] for goal in ("level", "walk")}
+    both, tried = won["level"] + won["walk"], [fields for _, fields in grid.values()]
+
+    def ends(key):
+        values = sorted({float(fields[key]) for fields in tried})
+        return values[0], values[-1]
+
+    low, high = ends("ppo.lambda_")
+    assert {float(x["ppo.lambda_"]) for x in both} == {low} == {0.9} and high == 0.95
+    low, high = ends("ppo.gamma")
+    assert {float(x["ppo.gamma"]) for x in won["level"]} == {low} == {0.97}
+    assert [float(x["ppo.gamma"]) == high for x in won["walk"]].count(True) == 2 and high == 0.98
+    assert {x["ppo.desired_kl"] for x in tried if x["ppo.gamma"] == "0.98"} == {"0.03"}
+    _, high = ends("ppo.desired_kl")
+    kl = [float(x["ppo.desired_kl"]) for x in won["level"]]
+    assert high == 0.05 and [x == high for x in kl] == [False, False, False, True]
+    assert max(float(x["ppo.desired_kl"]) for x in won["walk"]) < high
     assert (
-        "47 settings in 493 runs" in " ".join((LESS / "README.md").read_text().split())
-        and sum(counts) == 493
+        "all winners have lambda 0.9, and all winners for the level gamma 0.97, the lowest" in page
     )
+    assert "all have lambda 0.9, for the level gamma 0.97, the lowest that ran; KL 0.05" in front
+    assert "The rule, set on 2026-11-29 before they ran**" in page
+    used = [
+        line for name in ("headline.txt", "fresh.txt") for line in paper.jobs(LESS / name).values()
+    ]
+    assert not any(f"run.seed={x}" in line for x in (1400, 1500) for line in used)
+
+
+def test_jobs_with_as_many_rows_and_updates_as_best_are_what_the_page_says():
+    """PPO's setting for the level, in rollouts of 20 rows; an iteration has the updates of `best`."""
+    jobs, head = fields_of("updates.txt"), fields_of("headline.txt")
+    assert len(jobs) == 8
+    for name, (job, fields) in jobs.items():
+        robot, _, variant = job.partition(":")
+        best, config = (config_lib.load(f"configs/{robot}.py:{variant}") for _ in range(2))
+        for field in paper.jobs(LESS / "updates.txt")[name].split()[1:]:
+            config_lib.override(config, *field.split("=", 1))
+        config = config_lib.validate(config)
+        assert not schedule.uses_model(config)
+        assert (config.run.seed, config.run.num_seeds) == (100, 5)
+        assert len(schedule.sim_steps(config)) % config.run.eval_every == 0
+        rows = config.rollout.num_envs * config.rollout.horizon
+        real = best.rollout.num_envs * (best.rollout.horizon - best.schedule.end_steps)
+        assert real == 4096 and abs(rows / real - 1) < 0.02
+        epochs = int(name.split("-")[2])
+        assert config.ppo.epochs == epochs and config.ppo.minibatches == best.ppo.minibatches
+        assert (epochs == best.schedule.rounds * best.ppo.epochs) == (epochs == 15)
+        assert 1.4e6 < config.schedule.late_from * rows < 1.6e6
+        _, level = head[f"ppo-level-{name[-1]}"]
+        for key in ("ppo.gamma", "ppo.lambda_", "ppo.desired_kl", "schedule.end_steps"):
+            assert fields[key] == level[key], (name, key)
+        assert fields.keys() - level.keys() == {"ppo.epochs"}
+    page = " ".join((LESS / "model.md").read_text().split())
+    assert "208 robots, 20 rows and 15 epochs (`updates.txt`, with 5 beside), have not run" in page
+    table, _ = less("ppo")
+    grid, found = table.read(LESS / "results/ppo.csv.xz", "5"), {}
+    for epochs in ("-ep10", ""):
+        jobs = [grid[f"grid-256-kl3{epochs}-{x}"] for x in "ghcd"]
+        found[epochs] = [
+            table.reached(table.seeds(job), table.walks.level(table.best(job))).level / 1e6
+            for job in jobs
+        ]
+    text = "after {:.2f}, {:.2f}, {:.2f} and {:.2f} M, with 5 after {:.2f}, {:.2f}, {:.2f} and {:.2f} (three"
+    assert text.format(*(x.mean() for some in found.values() for x in some)) in page
+    p = [stats.welch_of(*pair) for pair in zip(*found.values(), strict=True)]
+    assert f"no difference is shown (p {min(p):.2f} at least)" in page
+
+
+def test_what_the_paper_is_told_of_branching_is_what_best_does():
+    """Tails from real rows drawn at random and from the last states, in the `best` of 2026-11-26."""
+    table, found = script("21_less/table"), {}
+    jobs = table.read(LESS / "results/ablation.csv.xz", "2")
+    for name in ("whole", "last"):
+        some = [table.seeds(jobs[f"control-{name}-{x}"]) for x in "ghcd"]
+        assert {len(seeds) for seeds in some} == {5}
+        found[name] = [
+            table.reached(seeds, 38 if x in "gh" else 24).level
+            for x, seeds in zip("ghcd", some, strict=True)
+        ]
+    pairs = [*zip(*found.values(), strict=True)]
+    text = "({:.2f} and {:.2f}, {:.2f} and {:.2f}, {:.2f} and {:.2f}, {:.2f} and {:.2f} M steps to the level"
+    text = text.format(*(x.mean() / 1e6 for pair in pairs for x in pair))
+    p = min(stats.rank_sum(*pair) for pair in pairs)
+    text += f" on Go1, Go2, ANYmal-C, -D; five seeds, rank tests p {p:.2f} at least;"
+    assert text in (EXPERIMENTS / "paper/README.md").read_text()
+    page = " ".join((LESS / "model.md").read_text().split())
+    worst = found["last"][2].max() / 1e6
+    told = f"(to the level p {p:.2f} at least; one ANYmal-C is there after {worst:.2f} M)"
+    assert told in page
 
 
 @pytest.mark.parametrize("name", ["run", "table"])
