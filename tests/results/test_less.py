@@ -269,6 +269,18 @@ def test_jobs_with_as_many_rows_and_updates_as_best_are_what_the_page_says():
             assert fields[key] == level[key], (name, key)
         assert fields.keys() - level.keys() == {"ppo.epochs"}
     page = " ".join((LESS / "model.md").read_text().split())
+    claims = script("19_collapse/table")
+    short = claims.read(EXPERIMENTS / "19_collapse/results/gpu.csv.xz")
+    returns = {
+        f"{rows}-{x}": np.mean(claims.values(short, f"rows{rows}-{x}", 500))
+        for rows in (8, 12, 16)
+        for x in "gc"
+    }
+    assert all(
+        (value < 0.65 * returns[f"16-{name[-1]}"]) == (name[:2] != "16")
+        for name, value in returns.items()
+    )
+    assert "as 8 and 12 of 1024 robots are with the paper's PPO ([19_collapse]" in page
     assert "208 robots, 20 rows and 15 epochs (`updates.txt`, with 5 beside), have not run" in page
     table, _ = less("ppo")
     grid, found = table.read(LESS / "results/ppo.csv.xz", "5"), {}

@@ -10,7 +10,7 @@ from functools import partial
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from result_files import EXPERIMENTS, ROW_COST, script, shows
+from result_files import EXPERIMENTS, ROOT, ROW_COST, script, shows
 
 from dynappo import schedule
 from dynappo.terrain import tiles
@@ -1050,6 +1050,23 @@ def test_what_the_pages_of_seconds_say_of_two_cores_is_so():
     cells = seconds[0].mean(), seconds[1].mean(), *longer[0][1:], *ratios[0][1:]
     text = text.format(*cells, seconds[2].mean(), *longer[1][1:]) + fewer.format(*ratios[1])
     assert text in pages["README"]
+    laptop = " ".join((EXPERIMENTS / "04_laptop/README.md").read_text().split())
+    more = stats.difference(seconds[1], seconds[0])
+    text = "to 38 of 45 it takes {:.1f} s, PPO alone with as many robots {:.1f}, "
+    text = text.format(seconds[0].mean(), seconds[1].mean())
+    text += "{:.1f} s more ({:.1f} to {:.1f})".format(*more)
+    text += ", for {:.1f} times the steps ({:.1f} to {:.1f}).**".format(*ratios[0])
+    assert text in laptop and more.low < 0 and {len(one.level) for one in (best, many)} == {5}
+    run = (EXPERIMENTS / "04_laptop/results/make_train.txt").read_text()
+    trained = float(re.search(r"^training +([\d.]+) s", run, re.MULTILINE)[1])
+    assert f"the recorded run trained for {trained:.0f} s" in laptop
+    minutes, rest = map(int, re.search(r"(\d+) min (\d+) s with the set-up", run).groups())
+    makefile = (ROOT / "Makefile").read_text()
+    for page, told in (
+        (laptop, "takes three to seven minutes with the set-up"),
+        (makefile, "three to seven"),
+    ):
+        assert told in page and 3 < minutes + rest / 60 < 7
     even = table.even(best, [many, few], table.cost(found, best)).partition(" (")
     assert f"[{even[0]} ms](runs.md#two-cores) ({even[2][:-1]}; computed), if a" in pages["README"]
     # as if a row cost as those of PPO with 256 and 512 robots do
