@@ -1,12 +1,14 @@
 """The best of tuned settings, as a list of jobs on fresh seeds. The rule for a walk is older than the runs.
 
     python experiments/21_less/choose.py FOLDER JOBS.txt FRESH.txt [--seed 1200] [--num-seeds 10] [--level]
+        [--beyond LATER.txt]
 
 FOLDER is what run.py made of JOBS.txt; every job must have run. Of the settings of a robot, the best is the
 one with the fewest simulator steps until it walks (dynappo/policy/walks.py), mean over seeds; a seed that
 never walks counts with twice all its steps. FRESH.txt gets that setting of each robot, as `walks-NAME`,
 with other seeds, and an evaluation of 1000 episodes twice as often. `--level`: steps to the level decide,
-whatever the falls, and the name is `level-NAME`.
+whatever the falls, and the name is `level-NAME`. `--beyond`: settings that ran later compete with those of
+JOBS.txt, and FRESH.txt gets the best of a robot only if it is one of them.
 """
 
 import importlib
@@ -28,13 +30,17 @@ def main():
     parser.add_argument("--seed", type=int, default=1200)
     parser.add_argument("--num-seeds", type=int, default=10)
     parser.add_argument("--level", action="store_true")
+    parser.add_argument("--beyond", type=Path, metavar="LATER.txt")
     args = parser.parse_args()
-    jobs = paper.jobs(args.jobs)
+    later = paper.jobs(args.beyond) if args.beyond else {}
+    jobs = paper.jobs(args.jobs) | later
     found = table.read(args.folder)
     if missing := [name for name in jobs if name not in found]:
         raise SystemExit(f"{args.folder} lacks {', '.join(missing)}; run them first")
     if other := [name for name, line in jobs.items() if found[name][0]["job"] != line]:
-        raise SystemExit(f"{args.folder} has other settings of {', '.join(other)} than {args.jobs}")
+        raise SystemExit(
+            f"{args.folder} has other settings of {', '.join(other)} than were asked for"
+        )
     goal = "level" if args.level else "walks"
     costs = {name: cost(found[name], goal) for name in jobs}
     lines = []
@@ -43,7 +49,8 @@ def main():
         for name in sorted(mine, key=costs.get):
             print(f"{name}: {costs[name] / 1e6:.2f} M")
         name = min(mine, key=costs.get)
-        lines.append(fresh(f"{goal}-{name}", jobs[name], args.seed, args.num_seeds))
+        if not later or name in later:
+            lines.append(fresh(f"{goal}-{name}", jobs[name], args.seed, args.num_seeds))
     args.fresh.write_text("".join(lines))
 
 

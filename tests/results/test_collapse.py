@@ -21,7 +21,7 @@ from dynappo.learner import networks
 from dynappo.model import dynamics, examples
 from dynappo.tasks.velocity import env as env_lib
 from dynappo.tasks.velocity import observe
-from experiments import pictures, stats
+from experiments import paper, pictures, stats
 
 controls = importlib.import_module("experiments.19_collapse.controls")
 table = importlib.import_module("experiments.19_collapse.table")
@@ -214,6 +214,19 @@ def test_the_jobs_are_valid_and_on_the_page():
         assert any(f"`{x}" in page for x in shown) or kind == "ppo16", name
         assert (job, *sorted(fields)) not in seen
         seen.add((job, *sorted(fields)))
+
+
+def test_what_runs_next_is_what_ran_on_eight_other_seeds():
+    ran, later = (paper.jobs(HERE / f"{name}.txt") for name in ("jobs", "eight"))
+    assert {*later} == {
+        f"eight-{x}-{robot}" for x in ("tail", "cold", "cold-ramp") for robot in "gc"
+    }
+    for name, job in later.items():
+        same = ran[name.removeprefix("eight-")]
+        assert job == same.replace("seed=700 run.num_seeds=3", "seed=710 run.num_seeds=8") != same
+    assert (
+        "eight fresh seeds each (710 to 717), Go1 and ANYmal-C" in (HERE / "README.md").read_text()
+    )
 
 
 @pytest.fixture(scope="module")

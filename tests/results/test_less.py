@@ -359,6 +359,12 @@ def test_best_setting_is_the_one_that_walks_soonest_and_never_counts_twice(tmp_p
     assert [line[:2] for line in lines] == [["walks-b", "go1:best"], ["walks-c", "go2:best"]]
     expected = {"run.seed=1200", "run.num_seeds=10", "run.eval_every=10", "run.eval_envs=1000"}
     assert all(set(line[2:]) == expected for line in lines)
+    # of later settings, a best one alone
+    path.write_text(f"a {jobs['a']}\nc {jobs['c']}\n")
+    (later := tmp_path / "later.txt").write_text(f"b {jobs['b']}\n")
+    monkeypatch.setattr(sys, "argv", [*sys.argv, "--beyond", str(later)])
+    choose.main()
+    assert [line.split()[0] for line in fresh.read_text().splitlines()] == ["walks-b"]
 
 
 RUNS = {
