@@ -2,8 +2,9 @@
 
     MUJOCO_GL=egl python experiments/01_four_robots/picture.py [OUT.png] [--frames VX POLICY ...]
 
-Each walks ahead at 0.8 m/s on C MuJoCo and is caught in mid-stride. With --frames, a row of frames of each
-policy (a name or a file) at VX m/s, from the side, 60 ms apart, to look at its gait.
+Each walks ahead at 0.8 m/s on C MuJoCo and is shown at four moments, a quarter of its stride apart, by a
+camera that goes with it. With --frames, a row of frames of each policy (a name or a file) at VX m/s, from
+the side, 60 ms apart, to look at its gait.
 """
 
 from pathlib import Path
@@ -18,15 +19,20 @@ from experiments import paper, pictures
 
 NAMES = {"go1": "Unitree Go1", "go2": "Unitree Go2", "anymal_c": "ANYmal-C", "anymal_d": "ANYmal-D"}
 HUMANOID = "g1"
-SIZE, TALL = (440, 720), (888, 500)  # pixels, height and width of one robot; of the humanoid
+LABELS = NAMES | {HUMANOID: "Unitree G1"}
+SIZE, TALL = (216, 296), (440, 222)  # pixels, height and width of a moment; of the humanoid
 SPEED = 0.8  # m/s
-# distance from the base (m), height looked at (m), time after which a stride is looked for (s)
+PERIOD = 0.02  # s, a control step of every bundled robot
+START = 150  # control steps, before which no stride is looked for
+MOMENTS = 4  # of a stride
+GAP = 4  # pixels between two moments; twice that between two robots
+# distance from the base (m), height looked at (m)
 FRAMING = {
-    "go1": (0.97, 0.200, 3.0),
-    "go2": (0.97, 0.185, 3.0),
-    "anymal_c": (1.68, 0.355, 3.0),
-    "anymal_d": (1.68, 0.335, 3.0),
-    "g1": (1.95, 0.655, 3.0),
+    "go1": (0.93, 0.170),
+    "go2": (0.93, 0.165),
+    "anymal_c": (1.62, 0.315),
+    "anymal_d": (1.62, 0.310),
+    "g1": (2.15, 0.69),
 }
 
 
@@ -44,17 +50,25 @@ def walks(name, command, seconds=6.0):
     return poses, heights
 
 
-def stride(feet, start):
-    """The row after `start` where a diagonal pair, or one of two feet, is highest and the other is down."""
+def stride(feet):
+    """The row where a diagonal pair, or one of two feet, is highest and the other is down."""
     one, other = (feet[:, [0, 3]], feet[:, [1, 2]]) if feet.shape[1] == 4 else np.split(feet, 2, 1)
     lifted = one.min(1) - 2 * np.maximum(other.max(1), 0)
-    return start + int(lifted[start : start + 100].argmax())
+    return START + int(lifted[START : START + 100].argmax())
 
 
-def render(name, poses, size=SIZE, azimuth=128.0, elevation=-9.0):
+def lasts(feet):
+    """Control steps of a stride: the first shift from 0.2 s on by which the feet nearly repeat."""
+    moved = feet[START:] - feet[START:].mean(0)
+    shifts = range(round(0.2 / PERIOD), round(1.2 / PERIOD))
+    alike = np.array([(moved[k:] * moved[:-k]).sum(1).mean() for k in shifts])
+    return shifts[int(np.flatnonzero(alike > 0.97 * alike.max())[0])]
+
+
+def render(name, poses, size, azimuth=128.0, elevation=-9.0):
     """RGB frames of the robot in `poses`, seen from its front left."""
     model = mujoco.MjModel.from_xml_path(str(Path("robots") / name / f"{name}.xml"))
-    distance, height, _ = FRAMING[name]
+    distance, height = FRAMING[name]
     look: dict[str, Any] = dict(
         distance=distance, height=height, azimuth=azimuth, elevation=elevation
     )
@@ -79,19 +93,44 @@ def sheet(frames, labels, columns, out, dpi=100):
     pictures.palette(out)
 
 
-def beside(left, frame, label, out, dpi=100):
-    """Write the picture file `left` and, right of it, a tall one with its label."""
-    grid, gap = plt.imread(left)[..., :3], 8
-    rows, columns = max(grid.shape[0], frame.shape[0]), grid.shape[1] + gap + frame.shape[1]
-    whole = np.ones((rows, columns, 3))
-    whole[: grid.shape[0], : grid.shape[1]] = grid
-    whole[: frame.shape[0], grid.shape[1] + gap :] = frame / 255
-    figure = plt.figure(figsize=(columns / dpi, rows / dpi), dpi=dpi)
+def moments(name, size):
+    """Frames of a stride at `SPEED`, and how far apart they are, in seconds."""
+    poses, feet = walks(name, np.array([SPEED, 0.0, 0.0]))
+    first, steps = stride(feet), lasts(feet)
+    rows = [first + round(steps * i / MOMENTS) for i in range(MOMENTS)]
+    return list(render(name, poses[rows], size)), steps * PERIOD / MOMENTS
+
+
+def tiled(grid, gap):
+    """One picture of a `grid` [rows][columns] of them, with white gaps (down, across) between."""
+    height, width = grid[0][0].shape[:2]
+    down, across = height + gap[0], width + gap[1]
+    whole = np.full((len(grid) * down - gap[0], len(grid[0]) * across - gap[1], 3), 255, np.uint8)
+    for r, line in enumerate(grid):
+        for c, frame in enumerate(line):
+            whole[r * down : r * down + height, c * across : c * across + width] = frame
+    return whole
+
+
+def draw(out, dpi=100):
+    """Quadrupeds left, a row each; the humanoid right of them, two moments a row."""
+    found = {name: moments(name, SIZE) for name in NAMES}
+    tall, apart = moments(HUMANOID, TALL)
+    left = tiled([frames for frames, _ in found.values()], (2 * GAP, GAP))
+    right = tiled([tall[:2], tall[2:]], (2 * GAP, GAP))
+    whole = np.full((len(left), left.shape[1] + 3 * GAP + right.shape[1], 3), 255, np.uint8)
+    whole[:, : left.shape[1]] = left
+    whole[:, -right.shape[1] :] = right
+    figure = plt.figure(figsize=(whole.shape[1] / dpi, whole.shape[0] / dpi), dpi=dpi)
     axis = figure.add_axes((0, 0, 1, 1))
     axis.imshow(whole)
     axis.axis("off")
-    style = dict(fontsize=SIZE[1] / 46, color="0.15", va="top")
-    axis.text(grid.shape[1] + gap + 0.03 * SIZE[1], 0.055 * SIZE[0], label, **style)
+    for r, (name, (_, seconds)) in enumerate(found.items()):
+        bottom = (r + 1) * SIZE[0] + r * 2 * GAP
+        text = f"{LABELS[name]}, {seconds:.2f} s apart"
+        axis.text(10, bottom - 9, text, fontsize=15, color="0.1", va="bottom")
+    text = f"{LABELS[HUMANOID]},\n{apart:.2f} s apart"
+    axis.text(left.shape[1] + 3 * GAP + 10, 9, text, fontsize=15, color="0.1", va="top")
     figure.savefig(out, dpi=dpi)
     pictures.palette(out)
 
@@ -113,16 +152,7 @@ def main():
             labels += [f"{Path(name).stem}, {60 * i} ms" for i in range(5)]
         sheet(frames, labels, 5, args.out)
         return
-    frames = []
-    for name in NAMES:
-        poses, feet = walks(name, np.array([SPEED, 0.0, 0.0]))
-        k = stride(feet, round(FRAMING[name][2] / 0.02))
-        frames += render(name, [poses[k]])
-    sheet(frames, list(NAMES.values()), 2, args.out)
-    poses, feet = walks(HUMANOID, np.array([SPEED, 0.0, 0.0]))
-    k = stride(feet, round(FRAMING[HUMANOID][2] / 0.02))
-    (frame,) = render(HUMANOID, [poses[k]], TALL)
-    beside(args.out, frame, "Unitree G1", args.out)
+    draw(args.out)
 
 
 if __name__ == "__main__":
