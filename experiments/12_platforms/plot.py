@@ -123,6 +123,7 @@ def measures(run: paper.Run) -> dict:
     row = paper.returns(run)
     if evaluation:
         row |= stats.spread("evaluated_return", evaluation["return"])
+        row |= stats.spread("evaluated_falls_pct", 100 * np.array(evaluation["fall_rate"]))
         for name in ("fall_rate", "tracking_error"):
             row[f"evaluated_{name}"] = float(np.mean(evaluation[name]))
     row["sim_steps_M"] = summary["sim_steps"] / 1e6
@@ -146,32 +147,54 @@ def theirs(printed, robot: str, variant: str) -> dict:
 
 
 def draw(rows, path: Path) -> None:
-    """Best return of every variant, ours and the paper's, both with the t interval of their seeds."""
-    page, axes = pictures.figure(2, 2, 6.2, sharey=True, sharex=True)
+    """Of every variant the evaluated return, its falls, and the best return, ours and the paper's: a column a
+    robot. A bar is the t interval of its seeds.
+    """
+    page, axes = pictures.figure(3, 4, 6.6, sharey=True)
     names, seeds = paper.variants("go1"), []
-    for axis, (robot, title) in zip(axes.flat, paper.ROBOTS.items(), strict=True):
+    for column, (robot, title) in zip(axes.T, paper.ROBOTS.items(), strict=True):
         for y, variant in enumerate(names):
-            row = paper.pick(rows, robot=robot, variant=variant)
-            style = pictures.mark(variant)
-            if "max_reward_mean" in row:
+            row, style = paper.pick(rows, robot=robot, variant=variant), pictures.mark(variant)
+            evaluated, fell, best = column
+            if "seeds" in row:
                 seeds.append(row["seeds"])
-                ends = [row["max_reward_low"], row["max_reward_high"]]
-                axis.plot(ends, [y - 0.14] * 2, color=style["color"], linewidth=1.8)
-                axis.plot(row["max_reward_mean"], y - 0.14, markersize=6, **style)
+                bar(evaluated, row, "evaluated_return", y, style)
+                bar(fell, row, "evaluated_falls_pct", y, style)
+                bar(best, row, "max_reward", y - 0.14, style)
             elif row.get("status"):
-                axis.text(0.5, y - 0.14, row["status"], color="0.5", va="center")
+                for axis in column:
+                    axis.text(0.5, y - 0.14, row["status"], color="0.5", va="center")
             if row.get("paper_max_reward_mean"):
                 mean, low, high = printed_interval(row)
-                axis.plot([low, high], [y + 0.2] * 2, color="0.6", linewidth=1.2, clip_on=True)
-                axis.plot(mean, y + 0.2, "D", color="white", markeredgecolor="0.4", markersize=4.5)
-        axis.set_title(title, loc="left")
-    pictures.variants(axes, names, 48)
-    pictures.outer(axes, "best return of 500 iterations")
-    counted = ", ".join(map(str, sorted(set(map(int, seeds))))) or "no"
+                best.plot([low, high], [y + 0.2] * 2, color="0.6", linewidth=1.2, clip_on=True)
+                best.plot(mean, y + 0.2, "D", color="white", markeredgecolor="0.4", markersize=4.5)
+        column[0].set_title(title, loc="left")
+    pictures.variants(axes, names, 4)
+    axes[1, 1].set_xlim(0, 15)  # Go2's PPO-12
+    for column, robot in zip(axes.T, paper.ROBOTS, strict=True):
+        few, most = ((28, 44), (0, 44)) if robot.startswith("go") else ((18, 29), (0, 29))
+        column[0].set_xlim(few)
+        column[2].set_xlim(most)
+    under = (
+        "evaluated return",
+        "falls of the evaluation, % of episodes",
+        "best return of 500 iterations in training, which the paper has too",
+    )
+    for line, text in zip(axes, under, strict=True):
+        line[1].set_xlabel(text, x=1.0)
+    counted = " or ".join(map(str, sorted(set(map(int, seeds))))) or "no"
     text = f"Bars: 95 % t interval of the mean. Filled: this repository, {counted} seeds. "
     text += f"White diamonds: the paper, {paper.PAPER_SEEDS} seeds"
     pictures.head(page, text, fontsize=9.5, color="0.35")
     pictures.save(page, path)
+
+
+def bar(axis, row, name: str, y: float, style) -> None:
+    """A mean and its interval, which ends at 0."""
+    if f"{name}_mean" in row:
+        ends = [max(row[f"{name}_low"], 0), row[f"{name}_high"]]
+        axis.plot(ends, [y, y], color=style["color"], linewidth=1.8)
+        axis.plot(row[f"{name}_mean"], y, markersize=6, clip_on=False, **style)
 
 
 def printed_interval(row) -> tuple[float, float, float]:
