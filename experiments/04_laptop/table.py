@@ -1,13 +1,16 @@
-"""Tables in Markdown and curves.png from the runs of walk.py in results/.
+"""Tables in Markdown from the runs of walk.py in results/; curves.png from those of 30_row_cost.
 
     python experiments/04_laptop/table.py
 
-Intervals are Student's t over seeds, 95 %. Many runs shared their machine, so seconds are those of two
-idle cores: iterations times the time of one (`results/ms.json`, by walk.py), of `:laptop` those of a whole
-run (`IDLE`).
+Intervals are Student's t over seeds, 95 %. Many runs shared their machine, so seconds in the tables are
+those of two idle cores: iterations times the time of one (`results/ms.json`, by walk.py), of `:laptop` those
+of a whole run (`IDLE`). The picture has later runs, one at a time, each with its own clock.
 """
 
+import csv
+import itertools
 import json
+import lzma
 from pathlib import Path
 
 import numpy as np
@@ -21,11 +24,16 @@ RESULTS = HERE / "results"
 SECONDS = (30, 45, 60, 90)  # of training
 LEVEL = 35  # of 45
 IDLE = "go1-103"  # a run that had the machine to itself
-METHODS = {  # files -> label, colour
-    "go1": ("`:laptop`: 8 simulated rows, a tail of 16", pictures.BLUE),
-    "ppo8": ("PPO alone, 8 rows", pictures.ORANGE),
-    "ppo16": ("PPO alone, 16 rows", pictures.BLACK),
-    "ppo24": ("PPO alone, 24 rows", pictures.GREY),
+METHODS = {  # files -> label
+    "go1": "`:laptop`: 8 simulated rows, a tail of 16",
+    "ppo16": "PPO alone, 16 rows",
+    "ppo24": "PPO alone, 24 rows",
+}
+ALONE = HERE.parent / "30_row_cost/results/alone.csv.xz"
+DRAWN = {  # its runs -> label, colour, dashes
+    "go1.laptop.best": (":laptop, 512 robots, 8 of 24 rows simulated", pictures.BLUE, "-"),
+    "go1.laptop.ppo512": ("PPO alone, 512 robots, 24 rows", pictures.BLACK, "-"),
+    "go1.laptop.ppo256": ("PPO alone, 256 robots, 24 rows", pictures.VERMILION, (0, (5, 2))),
 }
 
 
@@ -89,7 +97,7 @@ def at(run, key: str, seconds) -> np.ndarray:
 def in_time() -> str:
     """The tail beside PPO alone after the same seconds of training."""
     lines = []
-    for name, (label, _) in METHODS.items():
+    for name, label in METHODS.items():
         if found := runs(name):
             total, falls = (
                 np.mean([at(run, key, SECONDS) for run in found], 0)
@@ -116,29 +124,47 @@ def cores() -> str:
     return paper.markdown(head.split("|"), lines)
 
 
+def alone() -> dict[str, list[list[dict[str, float]]]]:
+    """The runs of `DRAWN`: their seeds, and of each its evaluations."""
+    names = ("sim_steps", "seconds", "return", "fall_rate")
+    with lzma.open(ALONE, "rt", newline="") as file:
+        rows = [row for row in csv.DictReader(file) if row["name"] in DRAWN]
+    return {
+        name: [
+            [{key: float(row[key]) for key in names} for row in some]
+            for _, some in itertools.groupby(
+                (row for row in rows if row["name"] == name), lambda row: row["seed"]
+            )
+        ]
+        for name in DRAWN
+    }
+
+
 def draw(path: Path) -> None:
-    """Evaluated return over seconds of training: every seed, and the mean of each method."""
-    figure, ((axes,),) = pictures.figure(1, 1, 3.8)
-    for name, (label, colour) in METHODS.items():
-        found = runs(name)
-        if not found:
-            continue
-        for run in found:
-            x, y = ([row[n] for row in run["rows"]] for n in ("seconds", "return"))
-            axes.plot(x, y, color=colour, lw=0.7, alpha=0.5, marker=".", markersize=4)
-        ends = [[run["rows"][i]["seconds"] for run in found] for i in (0, -1)]
-        grid = np.linspace(max(ends[0]), min(ends[1]))
-        level = np.mean([at(run, "return", grid) for run in found], 0)
-        text = f"{label.replace('`', '')}; {len(found)} seeds"
-        axes.plot(grid, level, color=colour, lw=2, label=text)
-    axes.set(
-        xlabel="seconds of training on two idle cores: iterations x the time of one; points: evaluations",
-        ylabel="evaluated return (of 45)",
-        xlim=(0, 120),
-        ylim=(0, 45),
-    )
-    axes.legend(frameon=False, loc="lower right")
-    pictures.save(figure, path)
+    """Evaluated return and falls over seconds and over simulator steps: means over seeds, and intervals."""
+    page, axes = pictures.figure(2, 2, 5.4, sharex="col", sharey="row")
+    found = alone()
+    for column, (unit, scale) in zip(axes.T, (("seconds", 1), ("sim_steps", 1e6)), strict=True):
+        for name, (label, colour, dash) in DRAWN.items():
+            ends = [[run[i][unit] / scale for run in found[name]] for i in (0, -1)]
+            grid = np.linspace(max(ends[0]), min(ends[1]), 60)
+            for axis, (key, times) in zip(column, (("return", 1), ("fall_rate", 100)), strict=True):
+                each = [
+                    np.interp(scale * grid, [row[unit] for row in run], [row[key] for row in run])
+                    for run in found[name]
+                ]
+                values = times * np.array(each).T
+                pictures.band(axis, grid, values, colour, label, most=60, dash=dash)
+        column[0].axhline(walks.level(45), color="0.4", lw=1, ls=":")
+        pictures.falls(column[1])
+    axes[0, 0].set(ylim=(0, 45), ylabel="evaluated return (of 45)", xlim=(0, 200))
+    axes[1, 0].set(ylabel="episodes with a fall, %", xlabel="seconds of training, two cores")
+    axes[1, 1].set(xlabel="million simulator steps", xlim=(0, 3.7))
+    seeds = {len(some) for some in found.values()}
+    text = f"Band: {pictures.covers(seeds)}. Dotted: follows its commands (38), and 1 % falls"
+    pictures.head(page, text)
+    pictures.legend(page, axes[0, 0], 2)
+    pictures.save(page, path)
 
 
 if __name__ == "__main__":

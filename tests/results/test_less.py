@@ -973,6 +973,23 @@ def test_a_laptop_run_walks_if_it_does_to_its_end():
     assert not walk(rows[::-1], 38) and not walk(rows, 41)
 
 
+def test_the_laptops_picture_and_page_are_of_the_runs_that_were_alone(drawn):
+    """Five seeds each; the level's seconds and steps, as 30_row_cost has them."""
+    table, cost = script("04_laptop/table"), script("30_row_cost/table")
+    page = " ".join((EXPERIMENTS / "04_laptop/README.md").read_text().split())
+    found = table.alone()
+    assert {len(some) for some in found.values()} == {5}
+    assert {len(run) for run in found["go1.laptop.best"]} == {16}
+    table.draw(EXPERIMENTS / "04_laptop/curves.png")
+    assert drawn == ["curves.png"] and "five fresh seeds each (1100 to 1104)" in page
+    rows = [row for row in cost.read() if row["name"] in table.DRAWN]
+    assert {row["seed"] for row in rows} == {str(n) for n in range(1100, 1105)}
+    runs = {run.method: run.level for run in cost.of_rows(rows)}
+    best, ppo = runs["best"][:, 1:].mean(0), runs["ppo512"][:, 1:].mean(0)
+    assert f"PPO alone with as many robots takes {ppo[0] / best[0]:.1f} times as many" in page
+    assert f"not shown: {best[1]:.1f} s with it and {ppo[1]:.1f} without" in page
+
+
 def test_a_memory_on_two_cores_is_told_as_it_ran():
     page = (EXPERIMENTS / "04_laptop/README.md").read_text()
     lines = [cells(line) for line in page.splitlines()]
