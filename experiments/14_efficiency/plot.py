@@ -8,9 +8,12 @@ their --quick made).
 README.md says what the thresholds are. `p_steps` is Welch's against PPO-16, `p_steps_rank` counts "never" as
 last, and `p_steps_holm` is Holm's, over all comparisons to one threshold, of the first, or of the second
 where a seed never gets there. "pooled" is against PPO-16 with the seeds of its earlier batches too.
+"falls_there_pct" are those of a seed's first evaluation at the threshold "evaluated".
 """
 
 from pathlib import Path
+
+import numpy as np
 
 from dynappo.policy import walks
 from experiments import batches, paper, pictures, stats
@@ -89,9 +92,19 @@ def row(robot: str, label: str, limit: float | None, variant: str, run, base) ->
         return cells
     how = paper.evaluated if label == "evaluated" else paper.reached
     cells |= {"seeds": len(paper.peak(run))} | paper.effort(run, limit, how)
+    if label == "evaluated" and "eval_fall_rate" in run.columns:
+        cells |= stats.spread("falls_there_pct", falls_there(run, limit))
     if base and base.columns and run is not base:
         cells |= paper.against(run, base, limit, how)
     return {name: value for name, value in cells.items() if not name.startswith(SHARED)}
+
+
+def falls_there(run: paper.Run, limit: float) -> list[float]:
+    """Per cent of episodes with a fall in the first evaluation at `limit`, of seeds that get there."""
+    returns, falls = (run.columns[name] for name in ("eval_return", "eval_fall_rate"))
+    rows = np.isfinite(returns).all(1)
+    there = returns[rows] >= limit
+    return [100 * falls[rows][at.argmax(), s] for s, at in enumerate(there.T) if at.any()]
 
 
 def add_pooled(rows: list[dict], runs: dict, earlier) -> None:
@@ -121,23 +134,21 @@ def theirs(variant: str) -> dict:
 
 
 def draw(rows, path: Path) -> None:
-    """Go1: M simulator steps to each threshold, ours as marks with intervals, the paper's as diamonds."""
+    """Go1: M simulator steps to each threshold, ours as marks with intervals, the paper's as diamonds; beside
+    the last the falls of the first evaluation there.
+    """
     labels = list(dict.fromkeys(r["threshold"] for r in rows if r["robot"] == "go1"))
     names = paper.variants("go1")
-    page, axes = pictures.figure(2, 2, 6.2, sharey=True, sharex=True)
-    for axis, label in zip(axes.flat, labels, strict=True):
+    page, axes = pictures.figure(2, 3, 5.6, sharey=True)
+    for axis, label in zip(axes.flat, labels, strict=False):
         some = [r for r in rows if r["robot"] == "go1" and r["threshold"] == label]
         for y, variant in enumerate(names):
             cells = paper.pick(some, variant=variant)
-            note, style, x = cells["status"], pictures.mark(variant), 0.3
-            partial = cells.get("success_rate_pct", 100) < 100
+            note, x = cells["status"], 0.3
             if "sim_steps_M_mean" in cells:
-                ends = [cells["sim_steps_M_low"], cells["sim_steps_M_high"]]
-                axis.plot(ends, [y, y], color=style["color"], linewidth=1.6)
-                face = "white" if partial else style["color"]
-                axis.plot(cells["sim_steps_M_mean"], y, markersize=6.5, **style, mfc=face)
-                x = ends[1] + 0.8
-            if partial:
+                bar(axis, cells, "sim_steps_M", y)
+                x = cells["sim_steps_M_high"] + 0.8
+            if cells.get("success_rate_pct", 100) < 100:
                 there = round(cells["success_rate_pct"] * cells["seeds"] / 100)
                 note = f"{there} of {cells['seeds']}"
             axis.text(x, y, note, color="0.4", va="center")
@@ -147,14 +158,32 @@ def draw(rows, path: Path) -> None:
         limit = some[0]["limit"]
         title = label + (f": {limit:.1f}" if limit and not label.startswith("paper") else "")
         axis.set_title(title, loc="left", fontsize=9.5)
+        axis.set_xlabel("simulator steps (M)")
     pictures.variants(axes, names, 33)
-    pictures.outer(axes, "simulator steps (M)")
+    fell = axes[1, 1]  # beside the steps to it
+    for y, variant in enumerate(names):
+        cells = paper.pick(rows, robot="go1", threshold="evaluated", variant=variant)
+        bar(fell, cells, "falls_there_pct", y)
+    fell.set_title("falls of the first evaluation at 38", loc="left", fontsize=9.5)
+    fell.set(xlabel="% of episodes", xlim=(0, 3))
+    axes[1, 2].set_visible(False)
     seeds = [r["seeds"] for r in rows if r["robot"] == "go1" and "seeds" in r]
     text = "Go1. White diamond: the paper. Hollow, with numbers: not all seeds get there; of those that do"
     if seeds:
         text = f"Bar: {pictures.covers(seeds)}.\n{text}"
     pictures.head(page, text, fontsize=9.5, color="0.35")
     pictures.save(page, path)
+
+
+def bar(axis, cells, name: str, y: int) -> None:
+    """A mean and its interval, which does not go below 0; hollow where not all seeds get there."""
+    if f"{name}_mean" not in cells:
+        return
+    style = pictures.mark(cells["variant"])
+    ends = [max(cells[f"{name}_low"], 0), cells[f"{name}_high"]]
+    axis.plot(ends, [y, y], color=style["color"], linewidth=1.6)
+    face = "white" if cells["success_rate_pct"] < 100 else style["color"]
+    axis.plot(cells[f"{name}_mean"], y, markersize=6.5, mfc=face, **style)
 
 
 if __name__ == "__main__":

@@ -603,6 +603,24 @@ def test_efficiency_by_evaluation_and_against_earlier_batches_too(tmp_path):
     assert evaluated["success_rate_pct"] == 0 and "pooled_p" not in evaluated
 
 
+def test_falls_of_the_first_evaluation_at_the_level_are_on_the_page(tmp_path):
+    """Of a seed that is at 38 twice the first time counts, of one that never is none; then the page."""
+    plot = script("14_efficiency")
+    returns = np.array([[10.0, 39.0, 0.0], [np.nan] * 3, [40.0, 41.0, 37.9], [42.0, 20.0, 5.0]])
+    falls = np.array([[0.5, 0.04, 0.9], [np.nan] * 3, [0.01, 0.0, 0.3], [0.0, 0.5, 0.2]])
+    columns = {"eval_return": returns, "eval_fall_rate": falls}
+    np.testing.assert_allclose(plot.falls_there(paper.Run(columns, {}), 38.0), [1.0, 4.0])
+    rows = paper.rows(EXPERIMENTS / "14_efficiency/results.csv")
+    page = " ".join((EXPERIMENTS / "14_efficiency/README.md").read_text().split())
+    some = [r for r in rows if r["threshold"] == "evaluated" and r["robot"] == "go1"]
+    told = [f"{paper.pick(some, variant=v)['falls_there_pct_mean']:.2f}" for v in paper.VARIANTS]
+    assert "falls in {} % of the episodes with PPO-12, {} % with PPO-16".format(*told) in page
+    assert "in the order of the table, in {}, {} and {} %".format(*told[2:]) in page
+    folder = EXPERIMENTS / "12_platforms/results"
+    there = {v: plot.falls_there(paper.load(folder, f"go1_{v}"), 38.0) for v in paper.VARIANTS}
+    assert all(stats.welch_of(there[v], there["ppo16"]) > stats.ALPHA for v in there)
+
+
 @pytest.mark.slow
 def test_the_update_that_is_timed_beside_rsl_rl_is_ours_on_the_same_rows(monkeypatch):
     """Returns by a loop; with them and without, one update is the same."""
