@@ -1,4 +1,4 @@
-// What viser's page lacks: a gamepad, room for the robot on a phone, notes that go away.
+// What viser's page lacks: a gamepad, room for the robot on a phone, notes that go away, quiet legends.
 if (!window.pads) {
   // A gamepad presses the page's keys. Sticks steer while they are held.
   const press = (key) => ["keydown", "keyup"].forEach((kind) => document.body.dispatchEvent(
@@ -23,7 +23,10 @@ if (!window.pads) {
   style.textContent = `@media (max-width: 576px) {
     .mantine-Paper-root[style*="position: fixed"] { left: 0; right: 0; width: auto !important; max-height: 50% !important; }
     .mantine-Paper-root[style*="position: fixed"] .mantine-ScrollArea-content > div { width: 100% !important; }
-  }`;
+  }
+  /* A plot's legend has values of where the mouse is. Without a mouse in the plot it would say "--". */
+  .uplot:not(:has(.u-over:hover)) .u-legend .u-value { display: none; }
+  .uplot:not(:has(.u-over:hover)) .u-legend .u-series > th::after { content: "" !important; }`;
   document.head.append(style);
   const since = new Map();
   setInterval(() => {

@@ -186,6 +186,20 @@ def test_plots_end_now_also_after_a_reset(served, tab):
     assert window() == [[-live_lib.HISTORY, 0]] * 3
 
 
+LEGEND = "document.querySelector('.uplot .u-legend').innerText"  # what is seen of it
+
+
+def test_a_legend_has_values_only_where_the_mouse_is(tab):
+    """Names alone, without the dashes of no value, until the mouse is in the plot."""
+    alone = f"/^\\s*s\\s*command\\s*robot\\s*$/.test({LEGEND})"
+    tab.mouse("mouseMoved", 590, 100)
+    tab.until(alone, "names alone")
+    tab.mouse("mouseMoved", *tab.middle("document.querySelector('.uplot .u-over')"))
+    tab.until(f"/command\\s*-?[0-9]/.test({LEGEND})", "values")
+    tab.mouse("mouseMoved", 590, 100)
+    tab.until(alone, "names alone again")
+
+
 def test_a_gamepad_steers_and_stops(served, tab):
     """Its left stick held ahead, then its first button."""
     live = served.page.live
