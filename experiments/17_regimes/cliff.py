@@ -101,57 +101,77 @@ def cells(find, name: str, rows: int, limit: float | None) -> dict:
 
 
 def draw(folder: Path, robots, path: Path) -> None:
-    """Evaluated return over simulated rows, a panel for each R; a thin line to all rows, synthetic ones too.
+    """Evaluated return and falls over simulated rows, a column for each R; a thin line to all rows, synthetic
+    ones too.
 
     Runs that were not evaluated are left out: PPO's of 20 rows, but for 1024 robots.
     """
-    across = min(2, len(robots))
-    page, axes = pictures.figure(-(-len(robots) // across), across, 6.4, sharey=True, sharex=True)
+    page, axes = pictures.figure(2, len(robots), 5.8, sharey="row", sharex=True)
     names = paper.VARIANTS | {"ppo": "PPO"}
     names["best"] = "best at c27cee7: 8 simulated rows, 16 of the model"
     seeds, find = [], partial(table.found, folder)
-    for axis, envs in zip(axes.flat, robots, strict=True):
-        some = evaluated(find, envs, "ppo", PPO_ROWS)
-        seeds += points(axis, some, "ppo16")
-        axis.plot([n for n, _ in some], [np.mean(returns) for _, returns in some], **LINE)
-        for name, shift in zip(table.TAILS, (-0.3, 0.3), strict=True):  # beside each other
-            some = [(n - TAIL, returns) for n, returns in evaluated(find, envs, name, ROWS)]
-            seeds += points(axis, some, name, TAIL, shift)
-        some = [(BEST[0], returns) for _, returns in evaluated(find, envs, "best", BEST[1:])]
-        seeds += points(axis, some, "best", BEST[1] - BEST[0])
-        axis.set_title(f"{envs} robots", loc="left")
-        axis.set(xticks=(8, *PPO_ROWS), xlim=(7, 25), ylim=(0, 46))
-    pictures.outer(axes, "simulated rows of a rollout", "evaluated return")
+    for column, envs in zip(axes.T, robots, strict=True):
+        for axis, what in zip(column, ("evaluated", "fell"), strict=True):
+            seeds += panel(axis, find, envs, what)
+            axis.set(xticks=(8, *PPO_ROWS), xlim=(7, 25))
+        column[0].set_title(f"{envs} robots", loc="left")
+        column[0].set_ylim(0, 46)
+        pictures.falls(column[1])
+    pictures.outer(axes, "simulated rows")
+    axes[0, 0].set_ylabel("evaluated return")
+    axes[1, 0].set_ylabel("episodes with a fall, %")
     for name, variant in (("ppo", "ppo16"), *((name, name) for name in (*table.TAILS, "best"))):
         style = pictures.mark(variant) | {"linestyle": "-" if name == "ppo" else ""}
         axes[0, 0].plot([], [], label=names[name], markersize=5, **style)
-    text = "Go1. A thin line goes from the simulated rows to all rows, the model's too: where it meets\n"
-    text += "PPO's, they do what simulated rows would. Best has MuJoCo Warp's physics, all else\n"
-    text += "our kernel's. PPO of 20 rows, tails of 20 and 24: 1024 robots only."
+    text = "Go1. A thin line goes from the simulated rows to all rows, the model's too: where it meets PPO's,\n"
+    text += "they do what simulated rows would. Best has MuJoCo Warp's physics, all else our kernel's. PPO of\n"
+    text += "20 rows, tails of 20 and 24: 1024 robots only. Dotted: 1 % falls."
     if seeds:
-        text += f" Bar: {pictures.covers(seeds)}"
+        text += f"\nBar: {pictures.covers(seeds)}"
     pictures.head(page, text, fontsize=9.5)
     pictures.legend(page, axes[0, 0], 2)
     pictures.save(page, path)
 
 
-def evaluated(find, envs: int, variant: str, every) -> list[tuple[int, np.ndarray]]:
-    """Rows of a rollout and the evaluated returns of its seeds, where there was an evaluation."""
-    some = [(n, table.values(run(find, envs, variant, n))) for n in every]
-    return [(n, found["evaluated"]) for n, found in some if "evaluated" in found]
+def panel(axis, find, envs: int, what: str) -> list[int]:
+    """All variants of one R; `what` as in `evaluated`. Returns how many seeds each point has."""
+    some = evaluated(find, envs, "ppo", PPO_ROWS, what)
+    seeds = points(axis, some, "ppo16")
+    axis.plot([n for n, _ in some], [np.mean(values) for _, values in some], **LINE)
+    for name, shift in zip(table.TAILS, (-0.3, 0.3), strict=True):  # beside each other
+        some = [(n - TAIL, values) for n, values in evaluated(find, envs, name, ROWS, what)]
+        seeds += points(axis, some, name, TAIL, shift)
+    some = [(BEST[0], values) for _, values in evaluated(find, envs, "best", BEST[1:], what)]
+    return seeds + points(axis, some, "best", BEST[1] - BEST[0])
+
+
+def evaluated(find, envs: int, variant: str, every, what: str) -> list[tuple[int, np.ndarray]]:
+    """Rows of a rollout and, where there was an evaluation, its seeds' returns ("evaluated") or per cent of
+    episodes with a fall ("fell").
+    """
+    out = []
+    for n in every:
+        found = run(find, envs, variant, n)
+        values = table.values(found)
+        if "evaluated" in values:
+            falls = 100 * np.array(found.summary["evaluation"]["fall_rate"])
+            out.append((n, falls if what == "fell" else values["evaluated"]))
+    return out
 
 
 def points(axis, some, variant: str, synthetic: int = 0, shift: float = 0.0) -> list[int]:
-    """Means of `some` (rows, a return a seed) with intervals, moved by `shift`, and a line over the
+    """Means of `some` (rows, a number a seed) with intervals, moved by `shift`, and a line over the
     `synthetic` rows. Returns how many seeds each has.
     """
     style = pictures.mark(variant)
-    for n, returns in some:
-        cells = stats.spread("x", returns)
-        axis.vlines(n + shift, cells["x_low"], cells["x_high"], style["color"], linewidth=1.3)
+    for n, values in some:
+        cells = stats.spread("x", values)
+        axis.vlines(
+            n + shift, max(cells["x_low"], 0), cells["x_high"], style["color"], linewidth=1.3
+        )
         axis.hlines(cells["x_mean"], n + shift, n + synthetic, style["color"], linewidth=0.9)
         axis.plot(n + shift, cells["x_mean"], markersize=5, **style)
-    return [len(returns) for _, returns in some]
+    return [len(values) for _, values in some]
 
 
 if __name__ == "__main__":
