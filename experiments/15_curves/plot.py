@@ -1,4 +1,4 @@
-"""Figures 7, 8 and 10: return, policy std and learning rate over training, of all variants.
+"""Figures 7, 8 and 10: return, falls, policy std and learning rate over training, of all variants.
 
     python experiments/15_curves/plot.py [--quick] [--out DIR]
 
@@ -17,10 +17,11 @@ from experiments import paper, pictures, stats
 HERE = Path(__file__).parent
 AT = (50, 100, 200, 300, 400, 500)  # iterations of the table
 PANELS = (  # of a row of the page: x, y, title
-    ("iteration", "episode_return", "return (fig. 7)"),
-    ("sim_steps", "episode_return", "return, by data"),
-    ("iteration", "policy_std", "policy std (fig. 8)"),
-    ("iteration", "learning_rate", "learning rate (fig. 10)"),
+    ("iteration", "episode_return", "return\n(figure 7)"),
+    ("sim_steps", "episode_return", "return,\nby data"),
+    ("iteration", "eval_fall_rate", "falls of\nevaluations, %"),
+    ("iteration", "policy_std", "policy std\n(figure 8)"),
+    ("iteration", "learning_rate", "learning rate\n(figure 10)"),
 )
 WINDOWS = {"early": (1, 100), "end": (461, 500)}  # iterations; early: the ramp of `dyna4`
 METRICS = ("episode_return", "policy_std", "learning_rate", "velocity_error")
@@ -101,13 +102,16 @@ def draw(runs: dict, title: str, path: Path) -> None:
         if name in some:
             label = (paper.VARIANTS | paper.OURS)[name].replace(", ", ",\n").replace(" (", "\n(")
             row[0].set_ylabel(label, color=pictures.COLOURS[name], fontweight="bold")
-    for axis, (_, y, text) in zip(axes[0], PANELS, strict=True):
+    for axis, (x, y, text) in zip(axes[0], PANELS, strict=True):
         axis.set_title(text, loc="left", fontsize=10)
         if y == "learning_rate" and axis.lines:
             pictures.log(axis, (1,))
             axis.set_ylim(2e-5, 2e-2)
         elif y == "policy_std":
             axis.set_ylim(bottom=0)
+        elif y == "eval_fall_rate":
+            for below in axes[:, PANELS.index((x, y, text))]:
+                pictures.falls(below)
     for axis, (x, _, _) in zip(axes[-1], PANELS, strict=True):
         axis.set_xlabel("simulator steps (M)" if x == "sim_steps" else x)
     lacks = [v for v in paper.VARIANTS if v not in some]
@@ -122,9 +126,12 @@ def draw(runs: dict, title: str, path: Path) -> None:
 def draw_line(axis, run: paper.Run, variant: str, panel) -> None:
     """A variant's mean and its band."""
     x, y, _ = panel
+    if y not in run.columns:
+        return
+    scale = 100 if y == "eval_fall_rate" else 1
     at = run.columns[x][:, 0] / (1e6 if x == "sim_steps" else 1)
     dash = pictures.DASHES.get(variant, "-")
-    pictures.band(axis, at, run.columns[y], pictures.COLOURS[variant], dash=dash)
+    pictures.band(axis, at, scale * run.columns[y], pictures.COLOURS[variant], dash=dash)
 
 
 if __name__ == "__main__":

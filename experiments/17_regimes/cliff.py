@@ -123,9 +123,9 @@ def draw(folder: Path, robots, path: Path) -> None:
     for name, variant in (("ppo", "ppo16"), *((name, name) for name in (*table.TAILS, "best"))):
         style = pictures.mark(variant) | {"linestyle": "-" if name == "ppo" else ""}
         axes[0, 0].plot([], [], label=names[name], markersize=5, **style)
-    text = "Go1. A thin line goes from the simulated rows to all rows, the model's too: where it meets PPO's,\n"
-    text += "they do what simulated rows would. Best has MuJoCo Warp's physics, all else our kernel's. PPO of\n"
-    text += "20 rows, tails of 20 and 24: 1024 robots only. Dotted: 1 % falls."
+    text = "Go1. A thin line goes from the simulated rows to all rows, the model's too: where it meets PPO's,"
+    text += "\nthey do what simulated rows would. Best has MuJoCo Warp's physics, all else our kernel's. PPO"
+    text += "\nof 20 rows, tails of 20 and 24: 1024 robots only. Dotted: 1 % falls."
     if seeds:
         text += f"\nBar: {pictures.covers(seeds)}"
     pictures.head(page, text, fontsize=9.5)
@@ -153,7 +153,7 @@ def evaluated(find, envs: int, variant: str, every, what: str) -> list[tuple[int
     for n in every:
         found = run(find, envs, variant, n)
         values = table.values(found)
-        if "evaluated" in values:
+        if found and "evaluated" in values:
             falls = 100 * np.array(found.summary["evaluation"]["fall_rate"])
             out.append((n, falls if what == "fell" else values["evaluated"]))
     return out
