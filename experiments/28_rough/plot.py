@@ -1,4 +1,4 @@
-"""Share of tiles crossed over simulator steps, `best` beside PPO: crossed.png; a tail's errors: scan.png.
+"""Tiles crossed, and falls, over simulator steps, `best` beside PPO: crossed.png; a tail's errors: scan.png.
 
     python experiments/28_rough/plot.py
 
@@ -60,19 +60,25 @@ def scan():
 
 def crossed():
     runs = {name: [*some] for name, some in groupby(table.today(), lambda row: row["name"])}
-    page, axes = pictures.figure(1, len(PANELS), 3.4, sharey=True)
-    for axis, (robot, what, title) in zip(axes[0], PANELS, strict=True):
+    page, axes = pictures.figure(2, len(PANELS), 5.4, sharey="row")
+    for (above, below), (robot, what, title) in zip(axes.T, PANELS, strict=True):
         for end, look in LOOKS.items():
             if f"{robot}-{end}" in runs:
-                curve(axis, runs[f"{robot}-{end}"], what, *look)
-        axis.set_title(title, loc="left")
-        axis.set(xlim=(1, 150), ylim=(0, 1))
-        pictures.log(axis, which="x")
+                curve(above, runs[f"{robot}-{end}"], what, *look)
+                curve(below, runs[f"{robot}-{end}"], "fell", *look)
+        above.set_title(title, loc="left")
+        pictures.falls(below)
+        for axis in (above, below):
+            axis.set_xlim(1, 150)
+            pictures.log(axis, which="x")
+    axes[0, 0].set(ylim=(0, 1), ylabel="share crossed")
+    axes[1, 0].set_ylabel("tries with a fall, %")
     axes[0, -1].axhline(table.LEAST[1], color="0.4", lw=1, ls=":")
-    pictures.outer(axes, "million simulator steps (logarithmic)", "share crossed")
-    pictures.head(
-        page, f"Band: {pictures.covers([3, 10])}. Dotted: the level of boxes", fontsize=9.5
-    )
+    axes[1, -1].set_visible(False)  # falls are counted on all tiles together
+    for axis in (*axes[1, :-1], axes[0, -1]):
+        axis.set_xlabel("million simulator steps")
+    text = f"Band: {pictures.covers([3, 10])}. Dotted: the level of boxes, and 1 % falls"
+    pictures.head(page, text, fontsize=9.5)
     pictures.legend(page, axes[0, 0], 3)
     pictures.save(page, Path(__file__).with_name("crossed"))
 
@@ -88,7 +94,9 @@ def curve(axis, mine, what, label, colour, dash):
 
 
 def share(row, what):
-    """Of tries that crossed: of all, or of a kind as the level has it."""
+    """Of tries that crossed: of all, or of a kind as the level has it; or per cent of all that fell."""
+    if what == "fell":
+        return 100 * float(row[what])
     return float(row[what]) if what == "crossed" else table.shares(row)[what]
 
 
