@@ -1,9 +1,10 @@
-"""Returns over simulator steps, and over seconds of training: curves.png, two panels a task.
+"""Returns over simulator steps and over seconds of training, two panels a task: curves.png; falls: falls.png.
 
     python experiments/05_playground/plot.py
 
-From results/*.csv; thin lines are seeds, thick ones the mean of `table.py`. Dotted: its reference. Steps and
-seconds are logarithmic. Marks: returns that others have published, read from FlashSAC's curves.
+From results/*.csv; thin lines are seeds, thick ones the mean of `table.py`. Dotted: its reference, of falls
+1 %. Steps and seconds are logarithmic. Marks: returns that others have published, read from FlashSAC's
+curves. A fall is an episode that the task ends before its time; Getup ends none.
 """
 
 import importlib
@@ -35,6 +36,7 @@ def main():
     if not names:
         print(f"nothing was run: no CSV in {table.RESULTS}")
         return
+    fallen(found, names)
     rows = -(-len(names) // 2)
     page, axes = pictures.figure(rows, 4, 0.5 + 2.0 * rows)
     pairs = axes.reshape(2 * rows, 2)  # two tasks a row
@@ -48,13 +50,44 @@ def main():
         axis.set_ylabel("return")
     for axis, unit in zip(axes[-1], ("million steps", "seconds") * 2, strict=True):
         axis.set_xlabel(unit)
-    for kind, colour in LOOKS.items():  # no task has all of them
-        if any(of == kind for _, of in found):
-            axes[0, 0].plot([], [], color=colour, label=table.KINDS[kind].strip("`"))
+    name_all(axes[0, 0], found)
     for mark, name in MARKS.items():
         axes[0, 0].plot([], [], mark, color=pictures.BLACK, mfc="none", label=f"published: {name}")
     pictures.legend(page, axes[0, 0], 3)
     pictures.save(page, Path(__file__).with_name("curves"))
+
+
+def name_all(axis, found) -> None:
+    """For the legend: no task has all of them."""
+    for kind, colour in LOOKS.items():
+        if any(of == kind for _, of in found):
+            axis.plot([], [], color=colour, label=table.KINDS[kind].strip("`"))
+
+
+def fallen(found, names) -> None:
+    """Per cent of episodes with a fall over million steps, a panel a task, as `panel` draws returns."""
+    rows = -(-len(names) // 4)
+    page, axes = pictures.figure(rows, 4, 0.7 + 1.9 * rows, sharey=True)
+    for axis, task in zip(axes.flat, names, strict=False):
+        for kind, colour in LOOKS.items():
+            some = found.get((task, kind), [])
+            for each in some:
+                at = [table.when(row)[0] for row in each]
+                falls = [100 * float(row["fall_rate"]) for row in each]
+                axis.plot(at, falls, color=colour, lw=0.7, alpha=0.5)
+            if some:
+                mean = table.mean(some, kind != "best")
+                axis.plot(mean[:, 0], 100 * mean[:, 3], color=colour, lw=1.8)
+        name = task.removesuffix("Terrain").replace("Humanoid", "")
+        axis.set_title(name, loc="left", fontsize=9.5)
+        pictures.log(axis, subs=(1, 3), which="x")
+        pictures.falls(axis)
+    for axis in axes.flat:
+        axis.set_visible(bool(axis.lines))
+    pictures.outer(axes, "million steps", "falls, %")
+    name_all(axes[0, 0], found)
+    pictures.legend(page, axes[0, 0], 3)
+    pictures.save(page, Path(__file__).with_name("falls"))
 
 
 def panel(axis, found, task, unit):

@@ -65,7 +65,8 @@ def crossed():
         for end, look in LOOKS.items():
             if f"{robot}-{end}" in runs:
                 curve(above, runs[f"{robot}-{end}"], what, *look)
-                curve(below, runs[f"{robot}-{end}"], "fell", *look)
+                if what == "crossed":  # falls are counted on all tiles together
+                    curve(below, runs[f"{robot}-{end}"], "fell", *look)
         above.set_title(title, loc="left")
         pictures.falls(below)
         for axis in (above, below):
@@ -74,7 +75,7 @@ def crossed():
     axes[0, 0].set(ylim=(0, 1), ylabel="share crossed")
     axes[1, 0].set_ylabel("tries with a fall, %")
     axes[0, -1].axhline(table.LEAST[1], color="0.4", lw=1, ls=":")
-    axes[1, -1].set_visible(False)  # falls are counted on all tiles together
+    axes[1, -1].set_visible(False)
     for axis in (*axes[1, :-1], axes[0, -1]):
         axis.set_xlabel("million simulator steps")
     text = f"Band: {pictures.covers([3, 10])}. Dotted: the level of boxes, and 1 % falls"

@@ -557,6 +557,19 @@ def test_a_tail_pays_where_its_steps_save_more_than_the_fit_takes():
     assert paper.pick(rows, variant="dyna2")["times_of"] == "dyna4"
 
 
+def test_the_map_says_how_many_of_its_cells_were_evaluated():
+    plot, folder = script("10_ablation"), EXPERIMENTS / "10_ablation"
+    never = [
+        cell
+        for cell in plot.GRID
+        if not any(
+            b.run.summary.get("evaluation") for b in plot.batches_of(folder / "results", *cell)
+        )
+    ]
+    page = " ".join((folder / "README.md").read_text().split())
+    assert f"{len(never)} of the {len(plot.GRID)} were never evaluated" in page
+
+
 def test_efficiency_counts_steps_and_success(tmp_path):
     rising = np.arange(1, 41)[:, None]  # the return is the iteration
     keep(tmp_path, "go1_ppo16", rising * [1.0, 1.0])

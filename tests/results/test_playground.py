@@ -636,7 +636,16 @@ def test_the_curves_of_playgrounds_tasks_are_drawn(playground_runs, drawn, monke
     plot = script(f"{PLAYGROUND}/plot")
     monkeypatch.setattr(plot, "table", playground_runs)
     plot.main()
-    assert drawn == ["curves"]
+    assert drawn == ["falls", "curves"]
+    assert all((EXPERIMENTS / PLAYGROUND / f"{name}.png").exists() for name in drawn)
+
+
+def test_getup_ends_no_episode_as_the_caption_of_the_falls_says():
+    found = script(f"{PLAYGROUND}/table").runs()
+    fell = {task: False for task, _ in found}
+    for (task, _), some in found.items():
+        fell[task] |= any(float(row["fall_rate"]) > 0 for rows in some for row in rows)
+    assert [task for task, any_ in fell.items() if not any_] == ["Go1Getup"]
 
 
 def test_playgrounds_jobs_are_valid_and_evaluated_ten_or_twenty_times():

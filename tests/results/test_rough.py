@@ -517,10 +517,12 @@ def test_the_pages_of_rough_ground_say_what_their_runs_say():
 
 def test_the_picture_of_rough_ground_is_drawn_from_all_that_it_names(drawn, monkeypatch):
     plot, curves = script("28_rough/plot"), []
-    monkeypatch.setattr(plot, "curve", lambda axis, mine, what, label, *_: curves.append(label))
+    monkeypatch.setattr(plot, "curve", lambda _, mine, what, *look: curves.append((what, look[0])))
     plot.main()
     assert drawn == ["crossed", "scan"] and (EXPERIMENTS / "28_rough/crossed.png").exists()
-    assert len(curves) == 15 and set(curves) == {look[0] for look in plot.LOOKS.values()}
+    of = {what: sorted(label for w, label in curves if w == what) for what, _ in curves}
+    assert len(of["crossed"] + of["boxes"]) == 15 and of["fell"] == of["crossed"]
+    assert {label for _, label in curves} == {look[0] for look in plot.LOOKS.values()}
 
 
 def test_a_kernel_is_told_by_its_line_and_operation(tmp_path):
