@@ -1,4 +1,4 @@
-"""results.csv, tests.csv and figure (figure 9, as numbers) of the robots in results/."""
+"""results.csv, tests.csv and figures (figure 9, as numbers; one a speed) of the robots in results/."""
 
 from pathlib import Path
 
@@ -8,10 +8,10 @@ from experiments import paper, pictures, stats
 
 VARIANTS, SPEEDS = ("ppo16", "dyna4"), (0.5, 1.0)
 MEASURES = {
-    "walks": "share of seeds that walk",
-    "tracking_error": "tracking error (m/s)",
-    "air_time": "air time of a swing (s)",
-    "tilt": "tilt of the base (degrees, rms)",
+    "walks": "share that\nwalks",
+    "tracking_error": "tracking error\n(m/s)",
+    "air_time": "air time of a\nswing (s)",
+    "tilt": "tilt of the base\n(degrees, rms)",
 }
 OF_A_GAIT = ("air_time", "tilt", "swings_per_second")  # of seeds that walk: a stumble has no gait
 # differences that do not matter: a tenth of the lower speed; a control step; as one can see it
@@ -31,7 +31,9 @@ def make(out: Path) -> None:
     paper.write(out / "results.csv", rows)
     paper.show(rows, COLUMNS)
     paper.write(out / "tests.csv", tests(every))
-    draw({robot: some for robot, some in every.items() if some} or {"go1": []}, out / "measures")
+    found = {robot: some for robot, some in every.items() if some} or {"go1": []}
+    for speed, name in zip(SPEEDS, ("measures_slow", "measures"), strict=True):
+        draw(found, speed, out / name)
 
 
 def load(path: Path) -> list[dict]:
@@ -128,45 +130,42 @@ def seeds(episodes) -> list[float]:
     return sorted({e["seed"] for e in episodes})
 
 
-def draw(every, path: Path) -> None:
-    """The measures over iterations, a column a robot."""
-    page, axes = pictures.figure(len(MEASURES), len(every), 8.6, sharex=True, sharey="row")
+def draw(every, speed: float, path: Path) -> None:
+    """The measures at one speed over iterations, a column a robot."""
+    page, axes = pictures.figure(len(MEASURES), len(every), 7.6, sharex=True, sharey="row")
     for column, (robot, episodes) in zip(axes.T, every.items(), strict=True):
         for axis, name in zip(column, MEASURES, strict=True):
             if episodes:
-                panel(axis, episodes, name)
+                panel(axis, episodes, speed, name)
             else:
                 pictures.missing(axis)
         column[0].set_title(paper.ROBOTS[robot], loc="left")
-        column[-1].set_xlabel("iteration of the policy")
+        column[-1].set_xlabel("iteration")
     for axis, label in zip(axes[:, 0], MEASURES.values(), strict=True):
-        axis.set(ylabel=label.replace(" (", "\n("), ylim=(0, None))
+        axis.set(ylabel=label, ylim=(0, None))
     if counts := sorted({len(seeds(some)) for some in every.values() if some}):
         counted = " or ".join(map(str, counts))
-        text = f"Small marks: each of {counted} seeds. Lines: their mean. Air time, tilt: of seeds that walk"
-        pictures.head(page, text)
+        text = f"Asked for {speed} m/s. Small marks: each of {counted} seeds. Lines: their mean, of air time "
+        text += "and tilt that of seeds that walk"
+        pictures.head(page, text, fontsize=9.5)
     pictures.legend(page, axes[0, 0], 2)
     pictures.save(page, path)
 
 
-def panel(axis, episodes, name: str) -> None:
-    """A measure of one robot: every seed, and their mean; solid 1.0 m/s, dashed 0.5."""
+def panel(axis, episodes, speed: float, name: str) -> None:
+    """A measure of one robot: every seed, and their mean."""
     every = np.array(sorted({e["iteration"] for e in episodes}))
-    apart = 0.08 * np.diff(every).min()  # side by side
-    for v, variant in enumerate(VARIANTS):
-        for k, (speed, line) in enumerate(zip(SPEEDS, ((0, (4, 1.5)), "-"), strict=True)):
-            columns = [numbers(at(episodes, variant, speed, i), name) for i in every]
-            colour, mark = pictures.COLOURS[variant], "osPX"[2 * v + k]
-            x = every + apart * (2 * v + k - 1.5)
-            style = dict(color=colour, marker=mark)
-            dots = () if name == "walks" else zip(x, columns, strict=True)
-            for place, values in dots:
-                axis.plot([place] * len(values), values, ls="", alpha=0.4, ms=2.6, **style)
-            mean = [stats.moments(values).mean for values in columns]
-            text = f"{paper.VARIANTS[variant]}, {speed} m/s"
-            style |= dict(linestyle=line, linewidth=1.6, markersize=4, label=text)
-            axis.plot(x, mean, **style)
-    axis.set_xticks([i for i in every if i % 100 == 0] or every)
+    apart = 0.12 * np.diff(every).min()  # side by side
+    for variant, aside in zip(VARIANTS, (-apart, apart), strict=True):
+        columns = [numbers(at(episodes, variant, speed, i), name) for i in every]
+        style = pictures.mark(variant)
+        dots = () if name == "walks" else zip(every + aside, columns, strict=True)
+        for place, values in dots:
+            axis.plot([place] * len(values), values, ls="", alpha=0.4, ms=3, mew=0, **style)
+        mean = [stats.moments(values).mean for values in columns]
+        style |= dict(linewidth=1.7, markersize=5, label=paper.VARIANTS[variant])
+        axis.plot(every + aside, mean, **style)
+    axis.set_xticks([i for i in every if i % 200 == 0] or every)
 
 
 if __name__ == "__main__":
