@@ -14,8 +14,9 @@ from dynappo import schedule
 from dynappo.tasks.velocity import observe
 from experiments import paper, pictures
 
-REAL, KEPT, TAILS = 8, 6, 4  # real rows of an iteration in results/, iterations kept, tails shown
-OF_BEST = 4  # real rows of an iteration of `best`
+REAL, LENGTH = 4, 16  # rows of an iteration of `best`: real, of its tail
+TAILS = (0, 2, 4, 6)  # iterations whose tails are shown and measured: every other one
+KEPT = TAILS[-1] + 1 + LENGTH // REAL  # iterations in results/: until the last tail ends
 GREY, ORANGE, BLUE, INK = pictures.GREY, pictures.VERMILION, pictures.BLUE, "0.2"
 ROWS = observe.slices(12)
 CURVES = {  # column of rows.csv -> number of the state, label
@@ -50,7 +51,7 @@ def steady(buffers) -> np.ndarray:
 def rows(buffers, dt: float) -> list[dict]:
     """A row a control step, of the steady robot with the fastest command ahead.
 
-    `time` (s) is that of physics: the tail of an iteration overlaps the real rows of the next two.
+    `time` (s) is that of physics: the tail of an iteration overlaps the real rows of the next four.
     """
     ahead = buffers[0].obs[0, :, ROWS["command"].start]
     robot, out = int(np.argmax(np.where(steady(buffers), ahead, -np.inf))), []
@@ -69,13 +70,14 @@ def distance(buffers) -> list[dict]:
     "still" is the same for repeating the last real state. Actions differ too: their noise is another one.
     """
     states = np.stack([b.next_prop for b in buffers])[:, :, steady(buffers)]  # [I, N, R, P]
-    real, tails, out = states[:, :REAL], states[:TAILS, REAL:], []
+    first = np.array(TAILS)
+    real, tails, out = states[:, :REAL], states[first, REAL:], []
     for k in range(tails.shape[1]):
         ahead, row = divmod(k, REAL)
-        went = real[1 + ahead :, row][:TAILS]  # [TAILS, R, P]
+        went = real[first + 1 + ahead, row]  # [TAILS, R, P]
         cells: dict = {"row": k + 1, "robots": states.shape[2]}
         for name, (n, _) in CURVES.items():
-            for label, guess in (("tail", tails[:, k]), ("still", real[:TAILS, -1])):
+            for label, guess in (("tail", tails[:, k]), ("still", real[first, -1])):
                 cells[f"{name}_{label}"] = f"{np.sqrt(np.mean((guess - went)[..., n] ** 2)):.4g}"
         out.append(cells)
     return out
@@ -113,9 +115,9 @@ def draw_overview(path: Path) -> None:
     blank(axis, (0, 12.4), (-0.3, 3.3))
     box(axis, 1.2, 2.2, "physics $p$\n(MuJoCo)", wide=1.9, high=0.9)
     for n in range(20):
-        colour = GREY if n < OF_BEST else ORANGE
+        colour = GREY if n < REAL else ORANGE
         box(axis, 3.3 + 0.2 * n, 2.2, "", colour, wide=0.15, high=0.55)
-    axis.text(3.2, 2.55, f"{OF_BEST} real", **small, color=INK)
+    axis.text(3.2, 2.55, f"{REAL} real", **small, color=INK)
     axis.text(5.95, 2.55, "tail: 16 synthetic rows", ha="center", **small, color=ORANGE)
     box(axis, 3.9, 0.75, "fit $f_\\theta$\n$\\mathcal{L}_{model}$", wide=1.5, high=0.9)
     box(axis, 6.3, 0.75, "model $f_\\theta$\nas physics", "#fbe6d3", wide=1.5, high=0.9)
@@ -133,7 +135,7 @@ def draw_overview(path: Path) -> None:
     axis.text(8.9, -0.14, "acts in physics and in the model", ha="center", va="bottom", **small)
     text = "three rounds an iteration:\nnew tail, new update"
     axis.text(7.2, 0.75, text, va="center", color=INK, **small)
-    anchor = 3.3 + 0.2 * (OF_BEST - 0.5)
+    anchor = 3.3 + 0.2 * (REAL - 0.5)
     axis.plot(
         [anchor, anchor, 1.2, 1.2], [2.5, 3.1, 3.1, 2.95], color=INK, linewidth=1, linestyle="--"
     )
@@ -211,19 +213,20 @@ def draw_tail(get, path: Path) -> None:
         axis.plot(
             get["time"][real], get[name][real], ".-", color=GREY, linewidth=3, label="physics"
         )
-        for i in range(TAILS):
+        for n, i in enumerate(TAILS):
             tail = (get["rollout"] == i) & (get["step"] >= REAL - 1)
-            x, y, k = get["time"][tail], get[name][tail], i % 2
-            text = f"{('odd', 'even')[k]} tails of the model" if i < 2 else ""
+            x, y, k = get["time"][tail], get[name][tail], n % 2
+            text = (
+                f"{('first and third', 'second and fourth')[k]} tail of the model" if n < 2 else ""
+            )
             style = dict(color=(ORANGE, BLUE)[k], marker="s^"[k], linestyle=("-", (0, (4, 1.2)))[k])
             axis.plot(x, y, linewidth=1.4, markersize=3.5, label=text, **style)
-            text = "anchor: the next rollout begins here, too" if i == 0 else ""
+            text = "anchor: the next rollout begins here, too" if n == 0 else ""
             axis.plot(x[0], y[0], "o", color=INK, markersize=7, fillstyle="none", label=text)
         axis.set_ylabel(label)
     axes[-1, 0].set_xlabel("time of physics (s)")
-    pictures.head(
-        page, f"One Go1, rollouts of best until 2026-11-22: {REAL} real rows and a tail of 16"
-    )
+    text = f"One Go1, rollouts of best: {REAL} real rows and a tail of {LENGTH}; every other tail is shown"
+    pictures.head(page, text)
     pictures.legend(page, axes[0, 0], 2)
     pictures.save(page, path)
 

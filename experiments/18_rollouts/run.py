@@ -3,7 +3,7 @@
     python experiments/18_rollouts/run.py [--quick] [--out DIR]
 
 The bundled Go1 walks by its policy and that policy's noise, PPO never runs, and `best`'s model is fitted to
-eight real rows an iteration; then six iterations are kept as they are, tails included, in DIR/results
+four real rows an iteration; then eleven iterations are kept as they are, tails included, in DIR/results
 (skipped where about.json is). Then figures, as plot.py.
 """
 
@@ -14,7 +14,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import plot
-from plot import KEPT, REAL
+from plot import KEPT, LENGTH, REAL
 
 from dynappo import algorithm, fast
 from dynappo import config as config_lib
@@ -25,13 +25,13 @@ from dynappo.policy import policy_file
 from dynappo.tasks.velocity import env as env_lib
 from experiments import paper
 
-WARM, EPOCHS = 25, 5  # iterations until the robots walk; passes of a fit
+WARM, EPOCHS = 50, 5  # iterations until the robots walk; passes of a fit
 
 
 def main():
     args = paper.options(Path(__file__).parent, paper.parser(__doc__))
     if not (args.out / "results" / "about.json").exists():
-        robots, fits = (32, 2) if args.quick else (256, 40)
+        robots, fits = (32, 2) if args.quick else (1024, 40)
         measure(args.out / "results", robots, fits)
     plot.make(args.out)
 
@@ -39,11 +39,10 @@ def main():
 def measure(folder: Path, robots: int, fits: int) -> None:
     """Write rows.csv, the last rollouts of one robot, and distance.csv, of all; `fits` of the model."""
     config = config_lib.load("configs/go1.py:best")
-    # a tail of 16 behind REAL rows, as `best` had until 2026-11-22; today 4 are real
-    config.rollout.update(num_envs=robots, horizon=REAL + 16)
-    config.model.minibatches = 6
+    config.rollout.num_envs = robots
     config.model.precision = config.ppo.precision = "highest"
     config = config_lib.validate(config)
+    assert config.rollout.horizon == REAL + LENGTH
     kept = list(rollouts(config, WARM + fits + KEPT))[-KEPT:]
     dt = config.physics.substeps * config.physics.timestep
     paper.write(folder / "rows.csv", plot.rows(kept, dt))

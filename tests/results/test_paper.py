@@ -736,24 +736,40 @@ def test_tails_overlap_the_next_rollouts():
     """By hand, from numbers of a buffer: a tail's row is compared with where physics went."""
     plot, rng, buffers = script("18_rollouts"), np.random.default_rng(0), []
     for i in range(plot.KEPT):
-        obs, one = np.zeros((24, 4, 48)), np.ones((24, 4))
+        obs, one = np.zeros((20, 4, 48)), np.ones((20, 4))
         obs[..., plot.ROWS["command"].start] = [0.2, 0.9, 0.5, 0.7 + (i == 3)]  # the last anew
-        one[3, 1] = one[20, 2] = 0  # the fastest falls; in a tail, where physics does not
-        buffer = dict(obs=obs, next_prop=rng.normal(size=(24, 4, 33)), reward=one, discount=one)
+        one[3, 1] = one[16, 2] = 0  # the fastest falls; in a tail, where physics does not
+        buffer = dict(obs=obs, next_prop=rng.normal(size=(20, 4, 33)), reward=one, discount=one)
         buffers.append(types.SimpleNamespace(**buffer, truncation=0 * one))
     assert plot.steady(buffers).tolist() == [True, False, True, False]
-    row, k = plot.rows(buffers, 0.02)[40], plot.CURVES["calf"][0]
-    assert float(row["time"]) == pytest.approx(0.5)  # 8 + 17 rows
-    assert float(row["calf"]) == pytest.approx(buffers[1].next_prop[16, 2, k], rel=1e-4)
-    went = [buffers[i + 2].next_prop[7, [0, 2], k] for i in range(plot.TAILS)]
-    for name, t in (("calf_tail", 23), ("calf_still", 7)):
-        said = [buffers[i].next_prop[t, [0, 2], k] for i in range(plot.TAILS)]
+    row, k = plot.rows(buffers, 0.02)[48], plot.CURVES["calf"][0]
+    assert float(row["time"]) == pytest.approx(0.34)  # two rollouts of 4 and 9 rows
+    assert float(row["calf"]) == pytest.approx(buffers[2].next_prop[8, 2, k], rel=1e-4)
+    went = [buffers[i + 4].next_prop[3, [0, 2], k] for i in plot.TAILS]
+    for name, t in (("calf_tail", 19), ("calf_still", 3)):
+        said = [buffers[i].next_prop[t, [0, 2], k] for i in plot.TAILS]
         expected = np.sqrt(np.mean(np.subtract(said, went) ** 2))
         assert float(plot.distance(buffers)[15][name]) == pytest.approx(expected, rel=1e-3)
 
 
+def test_the_page_of_the_rollouts_has_the_distances_of_its_tails():
+    folder = EXPERIMENTS / "18_rollouts"
+    page = (folder / "README.md").read_text()
+    rows = paper.rows(folder / "results.csv")
+    names = [f"{name}_{end}" for name in ("speed", "thigh", "calf") for end in ("tail", "still")]
+    for row in rows:
+        cells = " | ".join(f"{row[name]:.3f}" for name in names)
+        assert f"| {row['row']:.0f} | {cells} |" in page
+    words, half = " ".join(page.split()), paper.pick(rows, row=8.0)
+    thigh, calf = (100 * half[f"{n}_tail"] / half[f"{n}_still"] for n in ("thigh", "calf"))
+    assert f"joints are at {thigh:.0f} and {calf:.0f} % of the distance" in words
+    about = json.loads((folder / "results/about.json").read_text())
+    assert f"over {half['robots']:.0f} of {about['robots']} robots and four tails" in words
+    assert f"one seed, {about['date']}" in words
+
+
 def test_rollouts_are_kept_as_they_are_while_a_model_learns():
-    """On the toy: eight real rows, a tail of four, and the policy stays."""
+    """On the toy: four real rows, a tail of eight, and the policy stays."""
     record = script("18_rollouts/run")
     small = {"rollout.horizon": 12, "model.clean": True, "model.minibatches": 3}
     _, static, hyper = toy_env.settings(toy_env.TAIL | small)
