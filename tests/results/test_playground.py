@@ -646,6 +646,15 @@ def test_getup_ends_no_episode_as_the_caption_of_the_falls_says():
     for (task, _), some in found.items():
         fell[task] |= any(float(row["fall_rate"]) > 0 for rows in some for row in rows)
     assert [task for task, any_ in fell.items() if not any_] == ["Go1Getup"]
+    ends = {"best": [], "brax": [], "ppo": []}
+    for (task, kind), some in found.items():
+        if task.startswith(("G1", "Berkeley", "T1", "H1", "Apollo")):
+            ends.get(kind.rstrip("12"), []).extend(
+                100 * float(rows[-1]["fall_rate"]) for rows in some
+            )
+    told = [f"{min(x):.0f} to {max(x):.0f} %" for x in ends.values()]
+    page = " ".join((EXPERIMENTS / PLAYGROUND / "README.md").read_text().split())
+    assert "with `best` {}, with brax's PPO {}, our PPO {}.*".format(*told) in page
 
 
 def test_playgrounds_jobs_are_valid_and_evaluated_ten_or_twenty_times():
