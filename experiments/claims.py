@@ -164,7 +164,7 @@ STATED = {  # name -> where, and the words
     ],
     "go1 PPO seconds to a walk": [
         ("README.md", "Go1, our kernel | 0.18 | 1.0 | 0.6 | 2.0 | {:.1f} |"),
-        ("docs/results.md", "and walks after {:.1f}. Where a row"),
+        ("docs/results.md", "and walks after {:.1f}. Where it costs"),
         ("docs/speed.md", "walks after {:.1f} instead of"),
         (ROW_COST, "the level and {:.2f} instead of"),
     ],
@@ -307,12 +307,12 @@ STATED = {  # name -> where, and the words
         (ROW_COST, "for {:.1f} times the steps (4.3 to 5.9). All five"),
     ],
     "g1 seconds to a walk, MuJoCo Warp": [
-        ("README.md", "| 4.4 | 6.3 | 14.9 | {:.1f} |"),
+        ("README.md", "five of five seeds walk, after {:.1f} s"),
         ("experiments/25_humanoid/seconds.md", "walk by their end, after {:.2f} and"),
         (ROW_COST, "All five of both walk by their end, after {:.2f} and"),
     ],
     "g1 PPO seconds to a walk, MuJoCo Warp": [
-        ("README.md", "| 4.4 | 6.3 | 14.9 | 6.3 | {:.1f} |"),
+        ("README.md", "| 4.4 | 6.3 | 14.9 | seven of ten | {:.1f} |"),
         ("experiments/25_humanoid/seconds.md", "walk by their end, after 6.27 and {:.2f} s;"),
         (ROW_COST, "walk by their end, after 6.27 and {:.2f} s."),
     ],
