@@ -137,6 +137,12 @@ def test_the_table_of_ppos_grid_is_that_of_its_runs():
     )
     assert text.format(sum(counts), *counts) in page
     assert f"47 settings in {sum(counts)} runs, not " in front and 21 + 12 + 14 == 47
+    lead = " ".join((LESS / "ppo.md").read_text().split("\n    python ")[0].split())
+    numbers = [f"{x:.2f}" for x in (*means, *(np.nanmean(x.walks) / 1e6 for x in ours))]
+    told = "**47 settings were tried, in {} runs. On ten fresh seeds the best need {}, {}, {} and {} M steps"
+    told += " to the level (Go1, Go2, ANYmal-C, -D), and {}, {}, {} and {} to a walk**"
+    assert told.format(sum(counts), *numbers) in lead and {len(x.walks) for x in ours} == {10}
+    assert "one, none, two and one of ten never do. Winners lie at edges" in lead
     tuned = {name: chosen_in(name) for name in ("tuning", "falls")}
     text = "`best` was chosen in {} runs on four robots: {} settings in {} (`tuning.csv.xz`;"
     total = [sum(many) for many in zip(*tuned.values(), strict=True)]
