@@ -71,11 +71,9 @@ def test_the_tables_of_the_humanoid_are_those_of_its_runs(humanoid):
         np.mean([float(x) for x in runs[name][1].split(", ")])
         for name in ("control-simulator", "control-last")
     )
-    told = (
-        "By two seeds a line, three of `best`, it is the model that saves steps, not the number of"
-    )
-    told += " updates: with 15 epochs a G1 walks neither on 4 real rows, which may be too few by themselves,"
-    told += f" nor on 24. A perfect model would save {100 * (1 - perfect / ours):.0f} % more."
+    told = "With as many updates a G1 walks neither on 4 real rows, which may be too few by themselves, nor"
+    told += " on 24 (two seeds each). That does not tell the model from the number of updates. A perfect"
+    told += f" model would save {100 * (1 - perfect / ours):.0f} % more."
     assert told in text
     page = rows_on("parts", "What each part is worth")
     for label, name in (
