@@ -3,6 +3,7 @@
 import argparse
 import csv
 import itertools
+import lzma
 import re
 import sys
 import types
@@ -121,7 +122,7 @@ def test_the_page_says_how_crossq_is_beside_best_ppo_and_sac():
     told += "so CrossQ takes {:.2f} times its steps (95 % by Fieller, {:.2f} to {:.2f})".format(
         *times
     )
-    assert told in words and "beside it the model of `best` saves no steps to the level" in words
+    assert told in words and "beside it `best`, with its model, saves no steps to the" in words
     then = {
         x: [table.first(run, 38, "fall_rate") for run in runs[x]]
         for x in ("crossq-symmetric", "best-g")
@@ -183,7 +184,9 @@ def test_the_page_says_how_crossq_is_beside_best_ppo_and_sac():
     walk = [table.reached(runs[x], 38).walks / 1e6 for x in ("best-g", "crossq-symmetric")]
     assert all(np.isfinite(x).all() for x in walk)
     told = f"All five walk, from {walk[1].mean():.2f} M on in the mean, `best` from {walk[0].mean():.2f}, "
-    told += f"one of the ten from {walk[0].max():.1f}. This difference is not shown "
+    ends = [runs[x][0][-1]["sim_steps"] / 1e6 for x in ("crossq-symmetric", "best-g")]
+    told += "one of the ten from {:.1f} (by runs that end at {:.2f} and {:.1f} M, with 100 and 1000 episodes "
+    told = told.format(walk[0].max(), *ends) + "an evaluation). This difference is not shown "
     assert told + gap_of("({0} M fewer; {1} fewer to {2} more, p {3:.2f})", *walk) in mine
     assert stats.difference(*walk).low < 0
     cut = {
@@ -199,15 +202,17 @@ def test_the_page_says_how_crossq_is_beside_best_ppo_and_sac():
         )
     )
     assert walked["crossq-symmetric"] == high["crossq-symmetric"] == 5
-    told = (
-        f"By {end / 1e6:.2f} M, where they end, all five walk and have been at 40; of ten `best` "
-    )
-    told += f"{counts[walked['best-g']]} walk by then and {counts[high['best-g']]} have been at 40."
-    assert told in words
     fisher = pytest.importorskip("scipy.stats").fisher_exact
     p = fisher([[5, 0], [walked["best-g"], 10 - walked["best-g"]]]).pvalue
-    told = f"nor one in walks by {end / 1e6:.2f} M, five of five and {counts[walked['best-g']]} of ten "
-    assert f"{told}(Fisher's exact p {p:.2f})" in mine and p > 0.05
+    told = f"Judged at {end / 1e6:.2f} M, where CrossQ's runs end, five of five CrossQ and "
+    told += (
+        f"{counts[walked['best-g']]} of ten `best` walk, which is not shown to differ (p {p:.2f}); "
+    )
+    assert f"{told}all five and {counts[high['best-g']]} of the ten have been at 40." in words
+    told = f"nor one in walks if both are judged at {end / 1e6:.2f} M, five of five and "
+    told += f"{counts[walked['best-g']]} of ten (Fisher's exact p {p:.2f}; by all their later evaluations "
+    still = counts[(walk[0] <= end / 1e6).sum()]
+    assert f"{told}{still} of the ten walk from then on)" in mine and p > 0.05
     careful = [table.reached(runs[x], 38).careful / 1e6 for x in ("best-g", "crossq-symmetric")]
     told = f"nor one in steps to 38 with few falls, {careful[1].mean():.2f} and {careful[0].mean():.2f} M "
     assert told + gap_of("({0} M fewer; {1} fewer to {2} more, p {3:.2f})", *careful) in mine
@@ -290,8 +295,6 @@ def test_the_page_says_how_crossq_was_run_how_long_it_trains_and_what_was_predic
     first = [run for run in runs["crossq"] if run[0]["seed"] < 103]
     clock = [table.first(run, 38, "seconds") for run in first]
     alone = next(x for x in paper.rows(NUMBERS) if x["name"] == "go1 seconds to 38")["value"]
-    told = "{:.1f} to the level, CrossQ with mirrored batches {:.0f} to {:.0f}, three seeds at once"
-    assert told.format(float(alone), min(clock), max(clock)) in words
     assert f"there after {float(alone):.1f} s ([30_row_cost]" in mine
     start = first[0][0]["seconds"]
     told = f"takes {min(clock):.0f} to {max(clock):.0f} s, of which the first {start:.0f} have the "
@@ -301,6 +304,8 @@ def test_the_page_says_how_crossq_was_run_how_long_it_trains_and_what_was_predic
         f"With symmetric networks it is {min(clock):.0f} to {max(clock):.0f} s, five seeds at once"
     )
     assert told in mine
+    told = f"`best` is far ahead: {float(alone):.1f} s to the level, CrossQ {min(clock):.0f} to "
+    assert f"{told}{max(clock):.0f} s (five seeds at once on a shared card)." in words
     rows = paper.rows(EXPERIMENTS / "24_off_policy/results/fresh/crossq-64-symmetric-103-105.csv")
     clock = [
         table.first([r for r in rows if r["seed"] == s], 38, "seconds") for s in (103, 104, 105)
@@ -342,12 +347,27 @@ def test_the_page_of_results_says_how_crossq_is_beside_best():
         np.mean([np.interp(end, *x) for x in curves(runs[k])])
         for k in ("crossq-symmetric", "best-g")
     ]
-    told = f"By {end / 1e6:.2f} M all five CrossQ walk, six of ten `best` do; there CrossQ has "
-    assert f"{told}{last[0]:.1f}, `best` {last[1]:.1f}, which is not shown to differ." in docs
-    clock = [table.first(run, 38, "seconds") for run in runs["crossq"] if run[0]["seed"] < 103]
+    fisher = pytest.importorskip("scipy.stats").fisher_exact([[5, 0], [walk, 10 - walk]]).pvalue
+    before = f"By {end / 1e6:.2f} M all five CrossQ walk, six of ten `best` do; "
+    told = f"Judged at {end / 1e6:.2f} M, where CrossQ's runs end, five of five CrossQ and six of ten `best` "
+    told += f"walk, which is not shown to differ (p {fisher:.2f}); "
+    then = f"there CrossQ has {last[0]:.1f}, `best` {last[1]:.1f}, which is not shown to differ"
+    assert any(x + then in docs for x in (told, before))
     alone = next(x for x in paper.rows(NUMBERS) if x["name"] == "go1 seconds to 38")["value"]
-    told = f"CrossQ with mirrored batches trains for {min(clock):.0f} to {max(clock):.0f} s to 38, three "
-    assert f"{told}seeds at once, `best` for {float(alone):.1f}." in docs
+    symmetric, mirrored = (
+        "{:.0f} to {:.0f}".format(
+            *(f(table.first(run, 38, "seconds") for run in x) for f in (min, max))
+        )
+        for x in (
+            runs["crossq-symmetric"],
+            [run for run in runs["crossq"] if run[0]["seed"] < 103],
+        )
+    )
+    told = f"CrossQ trains for {symmetric} s to 38 (five seeds at once on a shared card), `best` alone "
+    before = (
+        f"CrossQ with mirrored batches trains for {mirrored} s to 38, three seeds at once, `best` "
+    )
+    assert any(f"{x}for {float(alone):.1f}." in docs for x in (told, before))
     few = few_of("default", "default-g")[1].level / 1e3
     assert f"needs {few.mean():.1f} k steps with 256 robots (ten fresh seeds)" in docs
 
@@ -355,6 +375,36 @@ def test_the_page_of_results_says_how_crossq_is_beside_best():
 def curves(runs):
     """Steps and returns of each run."""
     return [([r["sim_steps"] for r in run], [r["return"] for r in run]) for run in runs]
+
+
+def test_the_pages_say_how_much_the_methods_were_tuned():
+    """Runs of PPO that chose its settings; settings for 64 robots, and how long they ran."""
+    words = " ".join((EXPERIMENTS / "24_off_policy/README.md").read_text().split())
+    with lzma.open(EXPERIMENTS / "21_less/results/ppo.csv.xz", "rt", newline="") as file:
+        ppo = {
+            (row["batch"], row["name"], row["seed"])
+            for row in csv.DictReader(file)
+            if row["name"][0] not in "qw" and row["batch"] in "12345"
+        }
+    page = " ".join((EXPERIMENTS / "21_less/ppo.md").read_text().split())
+    counts = [
+        int(x)
+        for x in re.search(
+            r"(\d+) settings in \d+ on two .*?, (\d+) in .*?, (\d+) in", page
+        ).groups()
+    ]
+    told = f"PPO was chosen among {sum(counts)} settings in {len(ppo)} runs ([21_less](../21_less/ppo.md))."
+    assert told in words
+    page = " ".join((EXPERIMENTS / "27_few/peers.md").read_text().split())
+    settings = paper.jobs(EXPERIMENTS / "27_few/peers_tune.txt")
+    assert not any("symmetric" in x for x in settings.values() if x.startswith("crossq"))
+    rows = [
+        *paper.rows(EXPERIMENTS / "27_few/peers_tune.csv"),
+        *paper.rows(EXPERIMENTS / "27_few/peers_fresh.csv"),
+    ]
+    end = max(row["sim_steps"] for row in rows) / 1e3
+    told = f"More than {len(settings)} settings for 64 robots, symmetric CrossQ tuned by itself, or CrossQ "
+    assert f"{told}and SAC beyond {end:.0f} k steps." in page
 
 
 def crossq_of_few(name):
