@@ -69,7 +69,7 @@ def test_the_table_of_ppo_on_hardware_and_the_exact_task_is_that_of_its_runs():
     assert f"{text} ({{:.1f}} to {{:.1f}})".format(*more[0], *more[1]) in words
     steps = [one.level[:, 1].mean() / 1e6 for one in (go1, anymal)]
     assert "which need {:.2f} and {:.2f} M".format(*steps) in words
-    other = " ".join((EXPERIMENTS / ROW_COST / "README.md").read_text().split())
+    other = " ".join((EXPERIMENTS / ROW_COST / "runs.md").read_text().split())
     text = (
         "three tuning seeds, {:.1f} ({:.1f} to {:.1f}) and {:.1f} times ({:.1f} to {:.1f}) those of"
     )

@@ -1016,8 +1016,11 @@ def test_the_laptops_picture_and_page_are_of_the_runs_that_were_alone(drawn):
     assert {row["seed"] for row in rows} == {str(n) for n in range(1100, 1105)}
     runs = {run.method: run.level for run in cost.of_rows(rows)}
     best, ppo = runs["best"][:, 1:].mean(0), runs["ppo512"][:, 1:].mean(0)
-    assert f"PPO alone with as many robots takes {ppo[0] / best[0]:.1f} times as many" in page
-    assert f"not shown: {best[1]:.1f} s with it and {ppo[1]:.1f} without" in page
+    text = f"PPO alone takes {ppo[0] / best[0]:.1f} times the steps to 38 of 45 with as many robots"
+    assert text in page and [*found] == [
+        f"go1.laptop.{name}" for name in ("best", "ppo512", "ppo256")
+    ]
+    assert f"nor seconds: {best[1]:.1f} s with it and {ppo[1]:.1f} without" in page
 
 
 def test_a_memory_on_two_cores_is_told_as_it_ran():

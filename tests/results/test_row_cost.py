@@ -54,6 +54,9 @@ def test_what_the_pages_of_seconds_say_in_words_is_so():
         never = int(np.isnan(one.walks[:, 2]).sum())
         more = {0: "", 2: " (two of five seeds do not)"}[never]
         assert f"| {label} | {level:.2f} | {walks:.2f}{more} |" in pages["settings"]
+        if method == "best-r2n2048":
+            text = f"`best` takes {level:.2f} and {walks:.2f} s (five fresh seeds, another host)"
+            assert text in pages["README"] and len(one.level) == 5
     sooner = stats.difference(
         *(run["go1.kernel", f"{own}, second host", m].level[:, 2] for m in ("best", "best-r2n2048"))
     )
@@ -75,8 +78,21 @@ def test_what_the_pages_of_seconds_say_in_words_is_so():
         (run["go1.kernel", own, m].level[:, 1] / run["go1.kernel", own, m].robots).mean()
         for m in ("best", "ppo2048", "ppo256")
     ]
-    text = "needs {:.0f} rows of 1024 robots with `best`, and {:.0f} of 2048 or {:.0f} of 256"
-    assert text.format(*rows) in pages["README"]
+    text = "needs {:.0f} rows of 1024 robots with `best`, {:.0f} of 2048 or {:.0f} of 256 with PPO."
+    assert text.format(*rows) in pages["computed"] and f"{rows[1] / rows[0]:.0f}" == "7"
+    assert "a Go1 needs a seventh of the rows of PPO with 2048 robots" in pages["README"]
+    some = [run["go1.kernel", own, m] for m in ("best", "ppo2048", "ppo256")]
+    *rest, slow = [  # of all seeds' iterations
+        (1e3 * one.level[:, 2] - one.level[:, 1] / one.robots * one.row).sum()
+        / one.level[:, 0].sum()
+        for one in (*some, run["go1.warp", own, "best"])
+    ]
+    assert f"all but rows took {slow:.1f} ms of each, not {rest[0]:.1f}." in pages["computed"]
+    text = "{:.1f} ms an iteration of {:.0f}, and {:.1f} of {:.0f}, or {:.1f} of {:.0f}."
+    each = [(ms, one.level[:, 0].mean()) for ms, one in zip(rest, some, strict=True)]
+    assert text.format(*np.ravel(each)) in pages["computed"]
+    assert "all else in an iteration takes [four times as long]" in pages["README"]
+    assert f"{rest[0] / rest[1]:.0f}" == "4"
     newer, (g1, ppo) = "H200, 2026-11-28", ("g1.kernel", "ppo1024x12")
     pair = [run[g1, newer, method] for method in ("best", ppo)]
     (mine, its), (few, steps) = ([one.level[:, k] for one in pair] for k in (2, 1))
@@ -164,8 +180,6 @@ def test_what_the_pages_of_seconds_say_of_a_g1_on_other_hosts_is_so(humanoid):
         gain = stats.difference(one.level[:, 2], seconds[3])
         more = stats.ratio(one.level[:, 1], steps[3])
         assert text.format(*gain, *more) in pages["runs"]
-    told = "on two other hosts, it was {:.2f} and {:.2f} s to the level; PPO's five walked there, too, after"
-    assert told.format(*(some.mean() for some in seconds[3:])) in pages["README"]
     some = (best, ppo, quick)
     rows = [(one.level[:, 1] / one.robots).mean() for one in some]
     rest = [
@@ -181,8 +195,6 @@ def test_what_the_pages_of_seconds_say_of_a_g1_on_other_hosts_is_so(humanoid):
     # who walks by iteration 160, and who still falls there
     known = [one.walks[:, 2] for one in (best, quick, *dear)]
     assert [int(np.isfinite(one).sum()) for one in known] == [10, 8, 2, 5]
-    text = f"five walked there, too, after {known[3].mean():.1f} s, of `best` [two by their end]"
-    assert text in pages["README"]
     falls, errors, last, parts = {}, {}, {}, {}
     for row in table.read():
         key = row["batch"], row["name"]
@@ -373,11 +385,8 @@ def test_what_the_pages_of_seconds_say_of_rough_ground_is_so():
     said = {
         "30_row_cost/README.md": [
             f"after {level[2].mean():.1f} with PPO on the same card:"
-            f" {within(longer, 'times as long', 2)}, for {within(more, 'times the steps')}",
-            f"two to five of its five seeds are there, after {seldom.min():.1f} to {seldom.max():.1f} s",
-            f"{ten(eighty).mean():.1f} s, in ten runs on two hosts, instead of {eighty[1].mean():.1f}",
-            f"crosses {ends[1].mean():.0f} % of tiles, PPO {ends[2].mean():.0f} % after"
-            f" {last[2] / last[1]:.1f} times as long",
+            f" {within(longer, 'times as long', 2)}, for {within(more, 'times the steps')}. So no"
+            " difference in seconds is shown; [`best` was evaluated oftener, and PPO crosses more tiles]",
             f"PPO with 2048 robots on rough ground one of five ({few.level[0, 2]:.1f} s)",
         ],
         "30_row_cost/runs.md": [
@@ -412,14 +421,18 @@ def test_what_the_pages_of_seconds_say_of_rough_ground_is_so():
             f" {within(stats.ratio(ten(steps), steps[1]), 'times the steps')}",
             f"{175 * ms[1] / 1e3:.1f} s apart, two to five seeds of `best-r1e3` are there, after"
             f" {seldom.min():.1f} to {seldom.max():.1f} s",
-            f"to 80 % by {within(stats.difference(eighty[1], eighty[2]), 's on that card')}, and by"
+            "`best-r1e3` was evaluated seven times as often",
+            f"to 80 % after {ten(eighty).mean():.1f} s in all ten runs, instead of"
+            f" {eighty[1].mean():.1f};"
+            f" by {within(stats.difference(eighty[1], eighty[2]), 's on that card')}, and by"
             f" {around(stats.difference(eighty[1], ten(eighty))).replace(' (', ' with all ten runs (')[:-1]},"
             f" p {stats.welch_of(eighty[1], ten(eighty)):.2f}), for"
             f" {within(stats.ratio(ten(to_80), to_80[1]), 'times the steps')}",
             f"After its {last[1]:.1f} s it crosses {crossed(quick, last[1]).mean():.0f} % of tiles, PPO"
             f" {crossed(ppo, last[1]).mean():.0f} % by then ({points.value:.1f} points more,"
             f" {points.low:.1f} to {points.high:.1f})",
-            f"At its end PPO has {within(stats.difference(ends[2], ends[1]), 'points more')}, and the"
+            f"At its end, after {last[2] / last[1]:.1f} times as long, PPO has"
+            f" {within(stats.difference(ends[2], ends[1]), 'points more')}, and the"
             f" default `best` {around(stats.difference(ends[0], ends[1]))}",
             f"in {min(counts[5:10])} to {max(counts[5:10])} of 36 evaluations, PPO's, in runs almost"
             " three times as long, in"
@@ -639,8 +652,7 @@ def test_what_the_pages_of_seconds_say_of_a_g1_with_settings_for_seconds_is_so()
     both = table.interval(all_ours[0]), table.interval(all_theirs[0])
     text = "`best-kl4e3` takes {} s and PPO {}: ".format(*both)
     assert f"{text}{slower}; {more}, Welch's p {p:.2f}), for {steps}" in runs
-    assert f"takes {slower}), for {steps.split(' (')[0]}" in pages[f"{ROW_COST}/README"]
-    assert f"to their end it takes {all_ours[0].mean():.2f} s" in pages[f"{ROW_COST}/README"]
+    assert "([of 30 runs on three hosts 27 get there]" in pages[f"{ROW_COST}/README"]
     text = (
         "it takes {} s, where runs that do not get there count with their last second, which is too"
     )
@@ -796,7 +808,7 @@ def test_what_the_pages_of_seconds_say_of_a_g1_with_mujoco_warps_step_on_one_hos
         f" it is {walked[0].mean():.1f} and {walked[1].mean():.1f} s computed,"
         f" {best.walks[:, 2].mean():.2f} and {ppo.walks[:, 2].mean():.2f} measured.",
         f"at {cost:.2f} ms alone, a G1 would break even at {evens[0].replace(' (', ' ms (')}, to a walk at"
-        f" {evens[1]}.",
+        f" {evens[1]}, of the second run of `best` alone (7 of its 10 walk).",
         "it is {:.0f} and {:.0f} rows, and".format(*rows)
         + f" {rest[0]:.1f} ms of {iterations[0]:.0f} and {rest[1]:.1f} of {iterations[1]:.0f}.",
         "{:.2f}, {:.2f} and {:.2f} with 512, 1024 and 2048, in the exact tasks {:.2f}, {:.2f} and {:.2f}"
@@ -804,16 +816,32 @@ def test_what_the_pages_of_seconds_say_of_a_g1_with_mujoco_warps_step_on_one_hos
         + f" {cost:.2f} and {many.row:.2f} with 1024 and 2048.",
         f"takes {around(stats.ratio(*its), words=' times as long on a Go1')},"
         f" {around(stats.difference(*its), words=' s more').removesuffix(')')}, Welch's p"
-        f" {stats.welch_of(*its):.2f}), and {around(walk, words=' times on a G1')}.",
+        f" {stats.welch_of(*its):.2f}), and {around(walk, words=' times on a G1').removesuffix(')')}; of the"
+        " second run of `best` alone, 7 of its 10 walk).",
     ):
         assert text in pages["computed"], text
     text = (
         f"4.4 ms, a G1 takes {seconds[0].mean():.2f} s with `best` and {seconds[1].mean():.2f} with PPO on"
         f" the same card: {around(longer, words=' times as long')}, for"
-        f" {around(more, words=' times the steps')}. All five of both walk by their end, after"
-        f" {best.walks[:, 2].mean():.2f} and {ppo.walks[:, 2].mean():.2f} s."
+        f" {around(more, words=' times the steps')}."
     )
-    assert text in pages["README"]
+    # of both runs of `best`, and of all three of PPO
+    count = {
+        name: [int(np.isfinite(one.walks[:, 2]).sum()) for one in some]
+        for name, some in (("best", (before, best)), ("ppo", (three, five, ppo)))
+    }
+    assert count == {"best": [2, 5], "ppo": [3, 5, 5]} and len(before.walks) == 5
+    text += (
+        f" Of `best` {sum(count['best'])} of {len(ten)} walk (two runs of five seeds: [two, then all"
+        f" five](runs.md#g1)), of PPO all {sum(count['ppo'])}. Of the second run alone: after"
+        f" {best.walks[:, 2].mean():.2f} and {ppo.walks[:, 2].mean():.2f} s,"
+        f" {around(walk, words=' times as long')}."
+    )
+    assert text in pages["README"] and len(every) == sum(count["ppo"])
+    alone = evens[1].partition(" ")[0]
+    assert f"The {alone} ms of `g1.warp` are of the second run alone." in pages["README"]
+    assert "**Of `best` 7 of 10 walk, of PPO all 13**" in pages["runs"]
+    assert "**To a walk**, in this second run alone, PPO takes" in pages["runs"]
 
 
 def test_what_the_pages_of_seconds_say_of_ppo_with_512_robots_in_the_exact_tasks_is_so():
@@ -952,8 +980,7 @@ def test_what_the_pages_of_seconds_say_of_mjx_jax_is_so():
         f" {clocks[0].mean():.2f} with PPO with 2048 robots, one after the other on one card:"
         f" {around(longer, words=' times as long')}, for {least}. PPO's five walk, after"
         f" {ppo.walks[:, 2].mean():.2f} s, of `best` [four by their end](runs.md#go1), after"
-        f" {walked.mean():.2f}. On two other hosts it was {before.level[:, 2].mean():.2f} s with `best` and,"
-        f" with 1024 robots, {few.level[:, 2].mean():.2f}; there all walked."
+        f" {walked.mean():.2f}."
     )
     assert text in pages["README"]
     rows = [one.level[:, 1] / one.robots for one in (best, ppo)]
@@ -1049,14 +1076,35 @@ def test_what_the_pages_of_seconds_say_of_two_cores_is_so():
     text += " settings of the GPU takes {:.1f} s, 1.2 times as long ({:.2f} to {:.1f}), for "
     cells = seconds[0].mean(), seconds[1].mean(), *longer[0][1:], *ratios[0][1:]
     text = text.format(*cells, seconds[2].mean(), *longer[1][1:]) + fewer.format(*ratios[1])
+    text += ": beside it fewer steps are not shown, either"
     assert text in pages["README"]
     laptop = " ".join((EXPERIMENTS / "04_laptop/README.md").read_text().split())
     more = stats.difference(seconds[1], seconds[0])
-    text = "to 38 of 45 it takes {:.1f} s, PPO alone with as many robots {:.1f}, "
-    text = text.format(seconds[0].mean(), seconds[1].mean())
-    text += "{:.1f} s more ({:.1f} to {:.1f})".format(*more)
-    text += ", for {:.1f} times the steps ({:.1f} to {:.1f}).**".format(*ratios[0])
-    assert text in laptop and more.low < 0 and {len(one.level) for one in (best, many)} == {5}
+    text = (
+        "PPO alone takes {:.1f} times the steps to 38 of 45 with as many robots ({:.1f} to {:.1f}),"
+    )
+    text = (
+        text.format(*ratios[0]) + f" with 256 robots {fewer.format(*ratios[1])}. So beside the best"
+    )
+    text = (
+        text.replace("1.1 times the steps", "1.1 times")
+        + " PPO that ran the tail is not shown to save"
+    )
+    text += " steps, nor seconds: {:.1f} s with it and {:.1f} without, {:.1f} s more ({:.1f} to {:.1f}).**"
+    assert text.format(seconds[0].mean(), seconds[1].mean(), *more) in laptop
+    assert more.low < 0 < more.high and ratios[1].low < 1 < ratios[1].high
+    assert {len(one.level) for one in (best, many, few)} == {5} and table.fastest(
+        [many, few]
+    ) is many
+    # today's, whose feet are lifted, and that of 2026-11-26
+    assert np.isfinite(best.walks).all() and "walks with five of five fresh seeds" in laptop
+    today = script(f"{ROW_COST}/run").read("go1:laptop", []).config.task.weights.foot_clearance
+    assert f"pays for lifted feet (`foot_clearance` {today:.1f}," in laptop
+    tours = (EXPERIMENTS / "04_laptop/results/tours.txt").read_text().partition("\n\n")[0]
+    some = re.findall(r"^80\d return ([\d.]+), falls ([\d.]+) %", tours, re.MULTILINE)
+    assert all(float(value) >= 38 and float(falls) <= 1 for value, falls in some)
+    text = "that of 2026-11-26, whose feet were not lifted, with [ten of ten](#fewer-falls)."
+    assert text in laptop and len(some) == 10 and "C MuJoCo, 2026-11-26" in tours
     run = (EXPERIMENTS / "04_laptop/results/make_train.txt").read_text()
     trained = float(re.search(r"^training +([\d.]+) s", run, re.MULTILINE)[1])
     assert f"the recorded run trained for {trained:.0f} s" in laptop
@@ -1068,7 +1116,8 @@ def test_what_the_pages_of_seconds_say_of_two_cores_is_so():
     ):
         assert told in page and 3 < minutes + rest / 60 < 7
     even = table.even(best, [many, few], table.cost(found, best)).partition(" (")
-    assert f"[{even[0]} ms](runs.md#two-cores) ({even[2][:-1]}; computed), if a" in pages["README"]
+    text = f"which is how the break-even of {even[0]} ms ({even[2][:-1]}; computed) takes it"
+    assert text in pages["runs"]
     # as if a row cost as those of PPO with 256 and 512 robots do
     twice = many.row / few.row
     half = np.mean([best.row, many.row])  # a row of 512 robots
@@ -1081,8 +1130,6 @@ def test_what_the_pages_of_seconds_say_of_two_cores_is_so():
     of_both = [table.break_even(best, [many, few], before, power) for power, before in ms.items()]
     assert f"{of_both[0][0]:.2g}" == even[0]
     less = "{:.0f} ({:.0f} to {:.0f})".format(*of_both[1])
-    text = f"one of 1024 costs 32 ms, not 55, and the break-even is {less}."
-    assert text in pages["README"]
     at_512 = {f"{one[0] / 2**power:.1f}" for one, power in zip(of_both, ms, strict=True)}
     text = f"do, {twice:.2f} times for twice the robots, one of 1024 takes 32 ms, and the break-even is"
     text += f" {less}. In ms of 512 robots, which took {half:.0f} in the mean, it is {', '.join(at_512)} in"
@@ -1153,9 +1200,8 @@ def test_where_no_go1_ran_and_what_was_not_tuned_is_as_the_pages_of_seconds_say(
     several = [run["go1.kernel", day, f"ppo{n}"] for n in (4096, 2048)]
     rows = [(one.level[:, 1] / one.robots).mean() for one in several]
     dear = [(one.robots / 1024) ** power for one in several]
-    text = "4096 would [take as long](computed.md#computed-beside-measured) with MuJoCo Warp, {:.1f} instead"
-    text += " of {:.1f} s: {:.0f} rows of {:.2f} times the cost, not {:.0f} of {:.2f}."
-    assert text.format(*first, rows[0], dear[0], rows[1], dear[1]) in pages["README"]
+    text = "4096 would [take as long](computed.md#computed-beside-measured) with MuJoCo Warp."
+    assert text in pages["README"]
     for text in (
         f"would take {first[0]:.1f} s to the level by the runs of 2026-11-27: {rows[0]:.0f} rows of"
         f" {dear[0]:.2f} times the cost of 1024 robots are {rows[0] * dear[0]:.0f} of these, {rows[1]:.0f} of"
@@ -1168,6 +1214,83 @@ def test_where_no_go1_ran_and_what_was_not_tuned_is_as_the_pages_of_seconds_say(
     assert "ppo4096" in [x.method for x in ppos]  # "count PPO with 4096 robots, too"
     slowest = run["anymal_c.exact", "H200, 2026-11-28", "ppo2048"].level[:, 0].max()
     assert f"with 2048 robots is at the level at iteration {slowest:.0f}" in pages["next"]
+
+
+def test_the_lead_of_the_page_of_seconds_is_so():
+    """At which costs which of the two is sooner on a Go1, and by how much; what no interval shows."""
+    table = script(f"{ROW_COST}/table")
+    found = table.runs()
+    page = " ".join((EXPERIMENTS / ROW_COST / "README.md").read_text().split())
+    times, costs = {}, {}
+    for place in ("go1.kernel", "go1.exact", "go1.warp", "anymal_c.exact", "g1.warp", "go1.jax"):
+        best, ppos = table.settings(found, place)
+        clocks = [x.level[:, 2] for x in (table.fastest_beside(best, ppos), best)]
+        times[place], costs[place] = stats.ratio(*clocks), table.cost(found, best)
+    cheap = times.pop("go1.kernel")
+    assert cheap.high < 1 and all(one.low > 1 for one in times.values())
+    text = "at {:.1f} ms PPO is sooner, from {:.1f} to {:.1f} ms `best` is, {:.1f} to {:.1f} times."
+    low = costs.pop("go1.kernel")
+    values = [one.value for one in times.values()]
+    text = text.format(low, min(costs.values()), max(costs.values()), min(values), max(values))
+    assert f"Measured, to the level: {text} On two CPU cores no difference is shown.**" in page
+    best, ppos = table.settings(found, "go1.laptop")
+    for ppo in ppos:
+        gap = stats.difference(ppo.level[:, 2], best.level[:, 2])
+        assert gap.low < 0 < gap.high
+    best, ppos = table.settings(found, "go1.kernel")
+    even = table.break_even(best, ppos, table.cost(found, best), table.POWERS["a GPU"])[0]
+    text = f"**On a GPU a Go1 breaks even at about {even:.1f} ms a row (computed). Measured"
+    assert text in page and "On a GPU a Go1 follows commands sooner" in page
+
+
+def test_what_was_computed_beside_what_ppo_took_is_as_the_pages_say():
+    """Every setting of PPO that ran with our kernel and where a row costs more."""
+    table, newer, day = script(f"{ROW_COST}/table"), "H200, 2026-11-28", "H200, 2026-11-27"
+    found = table.runs()
+    pages = {
+        name: " ".join((EXPERIMENTS / ROW_COST / f"{name}.md").read_text().split())
+        for name in ("README", "computed")
+    }
+    gaps = {}
+    for own in found:
+        if (own.place, own.batch) not in (("go1.kernel", day), ("g1.kernel", newer)):
+            continue
+        for other in found:
+            robot = own.place.partition(".")[0]
+            dear = other.place in (f"{robot}.warp", f"{robot}.jax") and len(other.level) >= 5
+            if dear and own.method == other.method and own.method.startswith("ppo"):
+                ms = table.cost(found, other)
+                took = table.later(own, table.cost(found, own), ms, table.power_of(other.place))
+                gap = stats.difference(took, other.level[:, 2])
+                gaps[other.place, other.method, other.batch] = gap, took, other
+    third = ("g1.warp", "ppo1024x12", f"{newer}, third host")
+    few = gaps.pop(("go1.jax", "ppo1024", f"{newer}, seventh host"))[0]
+    assert gaps.pop(third)[0].low < 0  # the same setting once more
+    assert {key[:2] for key in gaps} == {
+        ("go1.warp", "ppo1024"),
+        ("go1.warp", "ppo2048"),
+        ("go1.jax", "ppo2048"),
+        ("g1.warp", "ppo1024x12"),
+    }
+    assert len(gaps) == 4 and all(gap.low < 0 < gap.high for gap, _, _ in gaps.values())
+    mine = [x for x in found if x[1:3] == (day, "best") and x.place in ("go1.kernel", "go1.warp")]
+    ours, dear = sorted(mine, key=lambda one: one.place)
+    at = table.later(
+        ours, table.cost(found, ours), table.cost(found, dear), table.power_of(dear.place)
+    )
+    slower = stats.difference(dear.level[:, 2], at)
+    text = (
+        "of PPO no difference is shown in four of five cases; in the fifth (1024 robots, MJX-JAX) it took"
+        f" {few.value:.1f} s less than computed ({few.low:.1f} to {few.high:.1f}). `best` took"
+        f" {around(slower, 2, ' s longer with MuJoCo Warp')}"
+    )
+    assert text in pages["README"] and few.low > 0
+    gap, took, other = gaps["go1.warp", "ppo1024", day]
+    text = (
+        f"would take {took.mean():.1f} s to the level, measured {table.interval(other.level[:, 2])}:"
+        f" {gap.value:.1f} s less ({gap.low:.1f} to {gap.high:.1f})."
+    )
+    assert f"nor with 1024 robots, which by the runs of 2026-11-27 {text}" in pages["computed"]
 
 
 def test_what_ran_next_has_enough_iterations_to_get_to_the_level():
