@@ -295,7 +295,7 @@ STATED = {  # name -> where, and the words
     ],
     "g1 PPO seconds to its level, MuJoCo Warp": [
         ("README.md", "G1, MuJoCo Warp's own step | 4.4 | 6.3 | {:.1f} |"),
-        ("docs/results.md", "6.3 instead of {:.1f} s (five seeds each). On rough"),
+        ("docs/results.md", "6.3 instead of {:.1f} s (five seeds each). It walks"),
         ("docs/results.md", "6.3 instead of {:.1f} s (five seeds each). With the"),
         ("experiments/25_humanoid/README.md", "6.3 instead of {:.1f} s (five"),
         ("experiments/25_humanoid/README.md", "s and PPO after {:.2f}. With"),
