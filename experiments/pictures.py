@@ -175,6 +175,14 @@ def band(axis, x, values, colour: str, label: str = "", most: int = 50, dash: An
     axis.plot(x[rows], mean, color=colour, linewidth=1.6, label=label, linestyle=dash)
 
 
+def bar(axis, cells, name: str, y: float, style: dict[str, Any]) -> None:
+    """A mean at `y` and its interval, which ends at 0: `NAME_mean`, `NAME_low` and `NAME_high` of `cells`."""
+    if f"{name}_mean" in cells:
+        ends = [max(cells[f"{name}_low"], 0), cells[f"{name}_high"]]
+        axis.plot(ends, [y, y], color=style["color"], linewidth=1.8)
+        axis.plot(cells[f"{name}_mean"], y, clip_on=False, **{"markersize": 6} | style)
+
+
 def poses(model, rows, size, *, distance, height, azimuth, elevation):
     """RGB pictures of a robot's `rows` [T, nq], of `size` (height, width) in pixels.
 

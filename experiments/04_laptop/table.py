@@ -7,10 +7,8 @@ those of two idle cores: iterations times the time of one (`results/ms.json`, by
 of a whole run (`IDLE`). The picture has later runs, one at a time, each with its own clock.
 """
 
-import csv
-import itertools
+import importlib
 import json
-import lzma
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +16,8 @@ import numpy as np
 from dynappo.policy import walks
 from dynappo.run import learning_curves
 from experiments import paper, pictures, stats
+
+row_cost = importlib.import_module("experiments.30_row_cost.table")
 
 HERE = Path(__file__).parent
 RESULTS = HERE / "results"
@@ -29,8 +29,7 @@ METHODS = {  # files -> label
     "ppo16": "PPO alone, 16 rows",
     "ppo24": "PPO alone, 24 rows",
 }
-ALONE = HERE.parent / "30_row_cost/results/alone.csv.xz"
-DRAWN = {  # its runs -> label, colour, dashes
+DRAWN = {  # runs of 30_row_cost -> label, colour, dashes
     "go1.laptop.best": (":laptop, 512 robots, 8 of 24 rows simulated", pictures.BLUE, "-"),
     "go1.laptop.ppo512": ("PPO alone, 512 robots, 24 rows", pictures.BLACK, "-"),
     "go1.laptop.ppo256": ("PPO alone, 256 robots, 24 rows", pictures.VERMILION, (0, (5, 2))),
@@ -126,18 +125,14 @@ def cores() -> str:
 
 def alone() -> dict[str, list[list[dict[str, float]]]]:
     """The runs of `DRAWN`: their seeds, and of each its evaluations."""
-    names = ("sim_steps", "seconds", "return", "fall_rate")
-    with lzma.open(ALONE, "rt", newline="") as file:
-        rows = [row for row in csv.DictReader(file) if row["name"] in DRAWN]
-    return {
-        name: [
-            [{key: float(row[key]) for key in names} for row in some]
-            for _, some in itertools.groupby(
-                (row for row in rows if row["name"] == name), lambda row: row["seed"]
-            )
-        ]
-        for name in DRAWN
-    }
+    found: dict[str, dict[str, list]] = {name: {} for name in DRAWN}
+    for row in row_cost.read():
+        if row["name"] in DRAWN:
+            numbers = {
+                key: float(row[key]) for key in ("sim_steps", "seconds", "return", "fall_rate")
+            }
+            found[row["name"]].setdefault(row["seed"], []).append(numbers)
+    return {name: [*some.values()] for name, some in found.items()}
 
 
 def draw(path: Path) -> None:

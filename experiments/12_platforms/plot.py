@@ -158,9 +158,9 @@ def draw(rows, path: Path) -> None:
             evaluated, fell, best = column
             if "seeds" in row:
                 seeds.append(row["seeds"])
-                bar(evaluated, row, "evaluated_return", y, style)
-                bar(fell, row, "evaluated_falls_pct", y, style)
-                bar(best, row, "max_reward", y - 0.14, style)
+                pictures.bar(evaluated, row, "evaluated_return", y, style)
+                pictures.bar(fell, row, "evaluated_falls_pct", y, style)
+                pictures.bar(best, row, "max_reward", y - 0.14, style)
             elif row.get("status"):
                 for axis in column:
                     axis.text(0.5, y - 0.14, row["status"], color="0.5", va="center")
@@ -187,14 +187,6 @@ def draw(rows, path: Path) -> None:
     text += f"White diamonds: the paper, {paper.PAPER_SEEDS} seeds"
     pictures.head(page, text, fontsize=9.5, color="0.35")
     pictures.save(page, path)
-
-
-def bar(axis, row, name: str, y: float, style) -> None:
-    """A mean and its interval, which ends at 0."""
-    if f"{name}_mean" in row:
-        ends = [max(row[f"{name}_low"], 0), row[f"{name}_high"]]
-        axis.plot(ends, [y, y], color=style["color"], linewidth=1.8)
-        axis.plot(row[f"{name}_mean"], y, markersize=6, clip_on=False, **style)
 
 
 def printed_interval(row) -> tuple[float, float, float]:

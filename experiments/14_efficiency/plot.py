@@ -12,6 +12,7 @@ where a seed never gets there. "pooled" is against PPO-16 with the seeds of its 
 """
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -146,7 +147,7 @@ def draw(rows, path: Path) -> None:
             cells = paper.pick(some, variant=variant)
             note, x = cells["status"], 0.3
             if "sim_steps_M_mean" in cells:
-                bar(axis, cells, "sim_steps_M", y)
+                pictures.bar(axis, cells, "sim_steps_M", y, look(cells))
                 x = cells["sim_steps_M_high"] + 0.8
             if cells.get("success_rate_pct", 100) < 100:
                 there = round(cells["success_rate_pct"] * cells["seeds"] / 100)
@@ -163,7 +164,7 @@ def draw(rows, path: Path) -> None:
     fell = axes[1, 1]  # beside the steps to it
     for y, variant in enumerate(names):
         cells = paper.pick(rows, robot="go1", threshold="evaluated", variant=variant)
-        bar(fell, cells, "falls_there_pct", y)
+        pictures.bar(fell, cells, "falls_there_pct", y, look(cells))
     fell.set_title("falls of the first evaluation at 38", loc="left", fontsize=9.5)
     fell.set(xlabel="% of episodes", xlim=(0, 3))
     axes[1, 2].set_visible(False)
@@ -175,15 +176,10 @@ def draw(rows, path: Path) -> None:
     pictures.save(page, path)
 
 
-def bar(axis, cells, name: str, y: int) -> None:
-    """A mean and its interval, which does not go below 0; hollow where not all seeds get there."""
-    if f"{name}_mean" not in cells:
-        return
+def look(cells) -> dict[str, Any]:
+    """Of a variant's mark: hollow where not all seeds get there."""
     style = pictures.mark(cells["variant"])
-    ends = [max(cells[f"{name}_low"], 0), cells[f"{name}_high"]]
-    axis.plot(ends, [y, y], color=style["color"], linewidth=1.6)
-    face = "white" if cells["success_rate_pct"] < 100 else style["color"]
-    axis.plot(cells[f"{name}_mean"], y, markersize=6.5, mfc=face, **style)
+    return style | {"mfc": "white"} if cells.get("success_rate_pct", 100) < 100 else style
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """experiments/README.md: what is new, by the runs that it names."""
 
 import numpy as np
-from result_files import EXPERIMENTS, cells, few_fresh, script
+from result_files import EXPERIMENTS, cells, few_fresh, few_of, script
 
 from experiments import stats
 
@@ -65,8 +65,9 @@ def test_what_is_said_of_few_and_crossq_beside_it_is_so():
     table, of = script("21_less/table"), runs()
     level = {name: table.reached(some, 38).level for name, some in of.items()}
     crossq = stats.ratio(level["crossq-256-symmetric"], level["best"])
-    told = "It needs {:.2f} times the steps of `best` ({:.2f} to {:.2f}), 5.4 times those of `few`"
-    assert told.format(*crossq) in TEXT
+    many = stats.ratio(level["crossq-256-symmetric"], few_of("default", "default-g")[1].level)
+    told = "It needs {:.2f} times the steps of `best` ({:.2f} to {:.2f}), {:.1f} times those of `few` with"
+    assert (told + " 256 robots ({:.1f} to {:.1f})").format(*crossq, *many) in TEXT
     sixty = stats.ratio(level["crossq-64-symmetric"], level["few"])
     assert f"and {sixty.value:.1f} times with 64 ([{sixty.low:.1f} to {sixty.high:.1f}]" in TEXT
     walk = [(~np.isnan(few_fresh(letter)[1].walks)).sum() for letter in "gc"]
