@@ -653,6 +653,12 @@ def test_each_batch_has_the_jobs_that_the_page_says(gpu):
     assert {name for name, batch in batches.items() if batch == {"third"}} == later
     assert all(len(batch) == 1 for batch in batches.values())
     cut = table.read(HERE / "results/cut.csv.xz")
+    eight = {name: cut.pop(name) for name in [*cut] if name.startswith("eight-")}
+    means = [
+        np.mean(table.values(eight, f"eight-{x}-{y}", 100)) for x in ("tail", "cold") for y in "gc"
+    ]
+    told = "({:.1f} on Go1, {:.1f} on ANYmal-C; `cold` {:.1f} and {:.1f}; batch `eight` of `cut.csv.xz`)"
+    assert told.format(*means) in words and {*map(tuple, eight.values())} == {(100,)}
     assert len(cut) == 8 and all(name.startswith(("robots", "own")) for name in cut)
     assert "Eight jobs of `robots` and `own` were cut off at first." in words
     for name, by_iteration in cut.items():

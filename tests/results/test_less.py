@@ -48,7 +48,7 @@ def test_the_table_of_ppos_grid_is_that_of_its_runs():
     """Every setting of ppo_grid.txt is a cell of each robot; the best of each ran on fresh seeds."""
     choose, (table, _) = script("21_less/choose"), less("ppo")
     jobs = table.read(LESS / "results/ppo.csv.xz", "5")
-    part = (LESS / "ppo.md").read_text().split("## The grid\n")[1].split("\n## ")[0]
+    part = (LESS / "ppo.md").read_text().split("## The grid\n")[1].split("\n### ")[0]
     rows = [cells(line) for line in part.splitlines() if line.startswith("| ")]
     assert rows[0] == ["PPO", *LETTERS]
     names = (
@@ -81,7 +81,7 @@ def test_the_table_of_ppos_grid_is_that_of_its_runs():
         }
         fields = [
             {f for f in job[0]["job"].split() if f.split("=")[0] in same}
-            for job in (jobs[f"grid-{name}-{letter}"], head[f"ppo-walk-{letter}"])
+            for job in (jobs[f"grid-{name}-{letter}"], head[chosen_to_walk(letter)])
         ]
         assert fields[0] == fields[1] and len(fields[0]) == 5
         soon = min(level[letter], key=level[letter].__getitem__)
@@ -110,16 +110,16 @@ def test_the_table_of_ppos_grid_is_that_of_its_runs():
     text = "after {:.2f} (one never), {:.2f}, {:.2f} (one never) and {:.2f} M (five never)"
     assert text.format(*(np.nanmean(x.walks) / 1e6 for x in fresh)) in words
     assert [int(np.isnan(x.walks).sum()) for x in fresh] == [1, 0, 1, 5]
-    sooner = stats.difference(ours_of("ppo-walk-h").walks / 1e6, fresh[1].walks / 1e6)
+    sooner = stats.difference(ours_of("ppo-walk-grid-h").walks / 1e6, fresh[1].walks / 1e6)
     assert "by {:.2f} M ({:.2f} to {:.2f}, uncorrected)".format(*sooner) in words
-    ours = [ours_of(f"ppo-walk-{x}") for x in "ghcd"]
+    ours = [ours_of(chosen_to_walk(x)) for x in "ghcd"]
     text = "after {:.2f} M (one of ten never), {:.2f}, {:.2f} (two never) and {:.2f} (one never)"
     assert text.format(*(np.nanmean(x.walks) / 1e6 for x in ours)) in words
     assert [int(np.isnan(x.walks).sum()) for x in ours] == [1, 0, 2, 1]
     text = "{:.2f}, {:.2f}, {:.2f} and {:.2f}"
     first = [
-        text.format(*(ours_of(f"{n}-{x}").level.mean() / 1e6 for x in "ghcd"))
-        for n in ("ppo-walk", "ppo")
+        text.format(*(ours_of(name).level.mean() / 1e6 for name in names))
+        for names in (map(chosen_to_walk, "ghcd"), [f"ppo-{x}" for x in "ghcd"])
     ]
     assert f"{first[0]} M, of the older PPO {first[1]}" in words
     with lzma.open(LESS / "results/ppo.csv.xz", "rt", newline="") as file:
@@ -128,21 +128,27 @@ def test_the_table_of_ppos_grid_is_that_of_its_runs():
             for r in csv.DictReader(file)
             if r["name"][0] not in "qw"
         }
-    counts = [sum(batch in some for batch, *_ in runs) for some in ("123", "4", "5")]
+    counts = [sum(batch in some for batch, *_ in runs) for some in ("123", "4", "5", "8")]
     front, page, fewer = (
         " ".join((LESS / f"{x}.md").read_text().split()) for x in ("README", "ppo", "falls")
     )
     text = (
-        "PPO was chosen in {}: 21 settings in {} on two robots, 12 in {} on two, 14 in {} on four"
+        "PPO was chosen in {}: 21 settings in {} on two robots, 12 in {} on two, 14 in {} on four, "
+        "[on each of which it was chosen by itself](#the-grid), and {} in {} [beyond the edges]"
     )
-    assert text.format(sum(counts), *counts) in page
-    assert f"47 settings in {sum(counts)} runs, not " in front and 21 + 12 + 14 == 47
+    beyond = {tuple(sorted(fields.items())) for _, fields in fields_of("ppo_edges.txt").values()}
+    settings = 21 + 12 + 14 + len(beyond)
+    assert text.format(sum(counts), *counts[:3], len(beyond), counts[3]) in page
+    assert f"{settings} settings in {sum(counts)} runs, not " in front
     lead = " ".join((LESS / "ppo.md").read_text().split("\n    python ")[0].split())
-    numbers = [f"{x:.2f}" for x in (*means, *(np.nanmean(x.walks) / 1e6 for x in ours))]
-    told = "**47 settings were tried, in {} runs. On ten fresh seeds the best need {}, {}, {} and {} M steps"
+    now = [ours_of(f"ppo-walk-{x}") for x in "ghcd"]
+    numbers = [f"{x:.2f}" for x in (*means, *(np.nanmean(x.walks) / 1e6 for x in now))]
+    told = "**{} settings were tried, in {} runs. On ten fresh seeds the best need {}, {}, {} and {} M steps"
     told += " to the level (Go1, Go2, ANYmal-C, -D), and {}, {}, {} and {} to a walk**"
-    assert told.format(sum(counts), *numbers) in lead and {len(x.walks) for x in ours} == {10}
-    assert "one, none, two and one of ten never do. Winners lie at edges" in lead
+    assert told.format(settings, sum(counts), *numbers) in lead
+    assert {len(x.walks) for x in (*ours, *now)} == {10}
+    assert [int(np.isnan(x.walks).sum()) for x in now] == [0, 2, 2, 1]
+    assert "none, two, two and one of ten never do." in lead
     tuned = {name: chosen_in(name) for name in ("tuning", "falls")}
     text = "`best` was chosen in {} runs on four robots: {} settings in {} (`tuning.csv.xz`;"
     total = [sum(many) for many in zip(*tuned.values(), strict=True)]
@@ -150,6 +156,12 @@ def test_the_table_of_ppos_grid_is_that_of_its_runs():
     assert "then {} in {} [for fewer falls]".format(*tuned["falls"]) in page
     assert "{} settings in {} runs, after `task.carry_on`".format(*tuned["falls"]) in fewer
     assert "not {} in {};".format(*total) in front
+
+
+def chosen_to_walk(letter):
+    """The job on fresh seeds of the setting that won the walk in the grid; of Go1 and Go2 one beyond it won
+    later."""
+    return f"ppo-walk-{'grid-' * (letter in 'gh')}{letter}"
 
 
 def chosen_in(name):
@@ -179,18 +191,22 @@ def fields_of(path):
     return found
 
 
+def won_in_the_grid(head, goal, letter):
+    """The setting of `ppo_grid.txt` that won, as it ran on fresh seeds: robot and fields."""
+    return head[chosen_to_walk(letter) if goal == "walk" else f"ppo-level-{letter}"]
+
+
 def test_jobs_beyond_the_edges_change_one_thing_of_a_winner():
-    """Of each robot's setting for the level or to walk; none has run; the page says which, and the rule."""
+    """Of each robot's setting of the grid for the level or to walk; and they run as the grid's do."""
     edges, grid, head = map(fields_of, ("ppo_edges.txt", "ppo_grid.txt", "headline.txt"))
-    assert len(edges) == 32 and "32 jobs [beyond" in (LESS / "README.md").read_text()
-    ran = [job for jobs in (grid, head) for job in jobs.values()]
+    ran = [*grid.values()]
     values = [tuple(sorted(fields.items())) for _, fields in edges.values()]
-    assert len({*zip((x for x, _ in edges.values()), values, strict=True)}) == 32
+    assert len(edges) == len({*zip((x for x, _ in edges.values()), values, strict=True)}) == 32
     changed = {}
     for name, (robot, fields) in edges.items():
         assert (robot, fields) not in ran, name
         goal = "walk" if name.startswith("edge-walk-") else "level"
-        was, winner = head[f"ppo-{goal}-{name[-1]}"]
+        was, winner = won_in_the_grid(head, goal, name[-1])
         assert was == robot and winner.keys() == fields.keys()
         other = {k: v for k, v in fields.items() if winner[k] != v}
         if name.startswith("edge-128-kl4-gamma98-"):  # of a Go1 its KL is that of the winner
@@ -220,34 +236,98 @@ def test_jobs_beyond_the_edges_change_one_thing_of_a_winner():
         return found
 
     assert runs(mine).items() <= runs(theirs).items()
-    # what the pages say of the winners
-    front, page = (" ".join((LESS / x).read_text().split()) for x in ("README.md", "ppo.md"))
-    won = {goal: [head[f"ppo-{goal}-{x}"][1] for x in "ghcd"] for goal in ("level", "walk")}
-    both, tried = won["level"] + won["walk"], [fields for _, fields in grid.values()]
 
-    def ends(key):
-        values = sorted({float(fields[key]) for fields in tried})
-        return values[0], values[-1]
 
-    low, high = ends("ppo.lambda_")
-    assert {float(x["ppo.lambda_"]) for x in both} == {low} == {0.9} and high == 0.95
-    low, high = ends("ppo.gamma")
-    assert {float(x["ppo.gamma"]) for x in won["level"]} == {low} == {0.97}
-    assert [float(x["ppo.gamma"]) == high for x in won["walk"]].count(True) == 2 and high == 0.98
-    assert {x["ppo.desired_kl"] for x in tried if x["ppo.gamma"] == "0.98"} == {"0.03"}
-    _, high = ends("ppo.desired_kl")
-    kl = [float(x["ppo.desired_kl"]) for x in won["level"]]
-    assert high == 0.05 and [x == high for x in kl] == [False, False, False, True]
-    assert max(float(x["ppo.desired_kl"]) for x in won["walk"]) < high
-    assert (
-        "all winners have lambda 0.9, and all winners for the level gamma 0.97, the lowest" in page
-    )
-    assert "all have lambda 0.9, for the level gamma 0.97, the lowest that ran; KL 0.05" in front
-    assert "The rule, set on 2026-11-29 before they ran**" in page
-    used = [
-        line for name in ("headline.txt", "fresh.txt") for line in paper.jobs(LESS / name).values()
+CHANGES = {  # rows of the table beyond the edges -> what is otherwise than in the winner
+    "with gamma 0.95": {"ppo.gamma": "0.95"},
+    "with gamma 0.96": {"ppo.gamma": "0.96"},
+    "with gamma 0.98 and KL 0.04": {"ppo.gamma": "0.98", "ppo.desired_kl": "0.04"},
+    "with gamma 0.99": {"ppo.gamma": "0.99"},
+    "with lambda 0.8": {"ppo.lambda_": "0.8"},
+    "with lambda 0.85": {"ppo.lambda_": "0.85"},
+    "with KL 0.06": {"ppo.desired_kl": "0.06"},
+    "with KL 0.07": {"ppo.desired_kl": "0.07"},
+}
+
+
+def test_what_ran_beyond_the_edges_of_the_grid_is_as_its_page_says(tmp_path, monkeypatch, capsys):
+    """The table, the settings that won by `choose.py`, and how these did on fresh seeds."""
+    choose, (table, jobs), (_, head) = script("21_less/choose"), less("ppo"), less("headline")
+    text = (LESS / "ppo.md").read_text().split("### Beyond the edges")[1].split("### Other")[0]
+    edges, grid, headline = map(fields_of, ("ppo_edges.txt", "ppo_grid.txt", "headline.txt"))
+    rows = [cells(line) for line in text.splitlines() if line.startswith("| ")][1:]
+    goal, seen = "", []
+    # the page's bold cells are the winners to walk of both files
+    for label, *line in rows:
+        if label.startswith("the winner of the "):
+            goal = label.rpartition(" ")[2]
+        line += [""] * (4 - len(line))  # `cells` leaves empty ones at the end out
+        for letter, cell in zip("ghcd", line, strict=True):
+            robot, fields = won_in_the_grid(headline, goal, letter)
+            wanted = robot, fields | CHANGES.get(label, {})
+            prefix = "edge-walk-" if goal == "walk" else "edge-1"
+            known = grid if label not in CHANGES else edges
+            names = [
+                name
+                for name, one in known.items()
+                if one == wanted and (known is grid or name.startswith(prefix))
+            ]
+            assert len(names) == bool(cell), (label, letter)
+            if names:
+                seen += names
+                job = jobs[names[0]]
+                found = table.reached(table.seeds(job), table.walks.level(table.best(job)))
+                walks, first = f"{choose.cost(job) / 1e6:.2f}", table.steps_of(found.level)
+                assert cell == f"{walks}; {first}", names
+                if goal == "walk" or label in CHANGES:  # a winner of the level may be bold below
+                    same = known[names[0]] == headline[f"ppo-walk-{letter}"]
+                    assert (f"**{walks}**; {first}" in text) == same, names
+    assert {*edges} == {name for name in seen if name.startswith("edge-")}
+    # the rule, by the shipped script, on the packed runs
+    for flags, name, winners in (
+        (["--level", "--seed", "1500"], "ppo-level", ""),
+        (["--seed", "1400"], "ppo-walk", "gh"),
+    ):
+        fresh = tmp_path / f"{name}.txt"
+        words = [str(LESS / "results/ppo.csv.xz"), str(LESS / "ppo_grid.txt"), str(fresh)]
+        words += ["--beyond", str(LESS / "ppo_edges.txt"), *flags]
+        monkeypatch.setattr(sys, "argv", ["choose.py", *words])
+        choose.main()
+        capsys.readouterr()
+        chosen = [line.split(" ", 1)[1] for line in fresh.read_text().splitlines()]
+        asked = paper.jobs(LESS / "headline.txt")
+        assert chosen == [asked[f"{name}-{letter}"] for letter in winners]
+        for letter in winners:
+            assert {row["job"] for row in head[f"{name}-{letter}"]} == {asked[f"{name}-{letter}"]}
+    text = " ".join(text.split())
+    now, before = ([ours_of(f"ppo-walk-{x}{y}") for y in "gh"] for x in ("", "grid-"))
+    means = [[np.nanmean(one.walks) / 1e6 for one in some] for some in (now, before)]
+    never = [[int(np.isnan(one.walks).sum()) for one in some] for some in (now, before)]
+    assert never == [[0, 2], [1, 0]]
+    assert "walk after {:.2f} and {:.2f} M; none and two of ten never do.".format(*means[0]) in text
+    assert "Those before, {:.2f} and {:.2f}, one and none".format(*means[1]) in text
+    end = head["ppo-walk-g"][-1]["sim_steps"]
+    later = [
+        stats.difference(*(np.nan_to_num(one.walks, nan=end) / 1e6 for one in pair))
+        for pair in zip(now, before, strict=True)
     ]
-    assert not any(f"run.seed={x}" in line for x in (1400, 1500) for line in used)
+    (one, two), count = later, f"a seed that never walks counts with {end / 1e6:.2f}"
+    told = f"({-one.value:.2f} M fewer on Go1, {one.high:.2f} more to {-one.low:.2f} fewer; "
+    told += f"{two.value:.2f} more on Go2, {-two.low:.2f} fewer to {two.high:.2f} more; {count})"
+    assert told in text
+    pair = [ours_of(f"{name}-g").level / 1e6 for name in ("ppo-walk", "ppo-level")]
+    told = "after {:.2f} M instead of {:.2f} of the one chosen for that"
+    assert told.format(*(x.mean() for x in pair)) in text
+    soon = stats.difference(*pair)
+    told = f"{-soon.value:.2f} fewer ({-soon.low:.2f} fewer to {soon.high:.2f} more), so not shown"
+    assert told in text
+    most, least = (
+        stats.ratio(ours_of(f"{name}-g").level, ours_of("best-g").level)
+        for name in ("ppo-level", "ppo-walk")
+    )
+    told = "save {:.1f} times the steps ({:.1f} to {:.1f}), not {:.1f}"
+    told = told.format(*least, most.value)
+    assert told in text
 
 
 def test_jobs_with_as_many_rows_and_updates_as_best_are_what_the_page_says():
@@ -378,6 +458,7 @@ RUNS = {
     "PPO": "ppo",
     "PPO, to the level": "ppo-level",
     "PPO, to walk": "ppo-walk",
+    "PPO, to walk, before": "ppo-walk-grid",
 }
 LOW_FEET = {"**`best`**": "best", "PPO, same task": "ppo-task", "PPO, as before": "ppo"}
 OLDER = {  # rows of the table of older runs -> names in fresh.csv.xz
@@ -408,7 +489,7 @@ def test_the_tables_of_the_headline_are_those_of_its_runs():
     (table, jobs), page = less("headline"), (LESS / "tables.md").read_text()
     assert {len(table.seeds(job)) for job in jobs.values()} == {10}
     found = rows_of(page, RUNS, 11)
-    assert found.keys() == jobs.keys() and len(jobs) == 16
+    assert found.keys() == jobs.keys() and len(jobs) == 18
     for name, mine in found.items():
         first, fell = steps_and_falls(table, name, jobs[name])
         assert mine == [*first[:2], fell[1], first[2], fell[4], *first[5:]], name
@@ -420,7 +501,9 @@ def test_the_tables_of_the_headline_are_those_of_its_runs():
     } == steps
     lines = map(cells, table.beside(jobs).splitlines()[2:])
     assert {row[0]: row[1:] for row in lines} == beside and len(beside) == 12
-    short = {name: [*full[:3], steps[name][-1]] for name, full in found.items()}
+    short = {
+        name: [*full[:3], steps[name][-1]] for name, full in found.items() if "grid" not in name
+    }
     assert rows_of(front, RUNS, 5) == short  # the page's own table is of these columns
     mine = {f"best-{letter}": jobs[f"best-{letter}"] for letter in LETTERS.values()}
     phases = [cells(line)[1:] for line in table.phases(mine).splitlines()[2:]]
