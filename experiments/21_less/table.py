@@ -37,12 +37,14 @@ TEXT = ("job", "name", "batch", "device", "commit")
 END = ("return", "fall_rate", "tracking_error")
 LEVELS = {45: (20, 30, 35, 40), 30: (15, 20, 22, 25)}  # by the best possible return
 ROBOTS = {"g": "Go1", "h": "Go2", "c": "ANYmal-C", "d": "ANYmal-D"}
-TAILS = {  # jobs of controls.txt -> what writes a tail
+TAILS = {  # jobs of controls.txt and updates.txt -> what writes a tail
     "whole": "the model, from real rows drawn at random (`best`)",
     "last": "the model, from the robots' last states",
     "simulator": "**the simulator**, from the last states, not counted",
     "real4-5": "nothing, 5 epochs",
     "real4-15": "nothing, 15 epochs: as many updates",
+    "updates-208-15": "208 robots, 20 real rows, 15 epochs: as many updates",
+    "updates-208-5": "208 robots, 20 real rows, 5 epochs",
     "real20-5": "the simulator, counted: 20 real rows, 5 epochs",
     "real20-15": "20 real rows, 15 epochs",
 }
@@ -63,6 +65,12 @@ PARTS = {  # jobs of ablation.txt -> what is taken out
     "episodes": "episodes of 5 s: 20 s",
 }
 LAST = 300  # iterations of controls.txt
+BATCHES = {
+    "1": "parts",
+    "2": "before",
+    "3": "today",
+    "4": "today",
+}  # of ablation.csv.xz -> its table
 
 
 def main():
@@ -305,15 +313,19 @@ def model(jobs, headline) -> str:
     """In Markdown, the tables of model.md: what writes a tail, today and then, and the parts of `best`.
 
     Today's `best` is the headline's, evaluated as often as the others. A line has all four robots."""
-    batches: dict[str, dict[str, list[dict]]] = {"1": {}, "2": {}, "3": {}}
+    batches: dict[str, dict[str, list[dict]]] = {name: {} for name in BATCHES.values()}
     for job in jobs.values():
         for row in job:
-            batches[row["batch"]].setdefault(row["name"].removeprefix("control-"), []).append(row)
+            mine = batches[BATCHES[row["batch"]]]
+            mine.setdefault(row["name"].removeprefix("control-"), []).append(row)
     for robot in ROBOTS:
         best = [row for row in headline[f"best-{robot}"] if row["iteration"] <= LAST]
-        batches["3"][f"whole-{robot}"] = best
+        batches["today"][f"whole-{robot}"] = best
     tables = []
-    for batch, title in ("3", "what writes 16 of 20 rows"), ("2", "in the `best` of 2026-11-26"):
+    for batch, title in (
+        ("today", "what writes 16 of 20 rows"),
+        ("before", "in the `best` of 2026-11-26"),
+    ):
         found, lines = batches[batch], []
         for name, label in TAILS.items():
             asked = [found.get(f"{name}-{robot}") for robot in ROBOTS]
@@ -322,7 +334,7 @@ def model(jobs, headline) -> str:
         tables.append(paper.markdown([title, *ROBOTS.values()], lines))
     lines = []
     for name, label in PARTS.items():
-        asked = [batches["1"].get(f"{name}-{robot}") for robot in ROBOTS]
+        asked = [batches["parts"].get(f"{name}-{robot}") for robot in ROBOTS]
         lines.append([label, *(part(job) if job else "" for job in asked)])
     return "\n\n".join([*tables, paper.markdown(["without", *ROBOTS.values()], lines)])
 

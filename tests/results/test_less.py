@@ -367,7 +367,6 @@ def test_jobs_with_as_many_rows_and_updates_as_best_are_what_the_page_says():
         for name, value in returns.items()
     )
     assert "as 8 and 12 of 1024 robots are with the paper's PPO ([19_collapse]" in page
-    assert "208 robots, 20 rows and 15 epochs (`updates.txt`, with 5 beside), have not run" in page
     table, _ = less("ppo")
     grid, found = table.read(LESS / "results/ppo.csv.xz", "5"), {}
     for epochs in ("-ep10", ""):
@@ -376,14 +375,15 @@ def test_jobs_with_as_many_rows_and_updates_as_best_are_what_the_page_says():
             table.reached(table.seeds(job), table.walks.level(table.best(job))).level / 1e6
             for job in jobs
         ]
-    text = "after {:.2f}, {:.2f}, {:.2f} and {:.2f} M, with 5 after {:.2f}, {:.2f}, {:.2f} and {:.2f} (three"
-    assert text.format(*(x.mean() for some in found.values() for x in some)) in page
     p = [stats.welch_of(*pair) for pair in zip(*found.values(), strict=True)]
-    assert f"no difference is shown (p {min(p):.2f} at least)" in page
+    assert (
+        f"nor with 256 robots and 24 rows, 10 beside 5 (three seeds, p {min(p):.2f} at least;"
+        in page
+    )
 
 
 def test_what_the_paper_is_told_of_branching_is_what_best_does():
-    """Tails from real rows drawn at random and from the last states, in the `best` of 2026-11-26."""
+    """Tails from real rows drawn at random and from the last states. The paper is told of 2026-11-26."""
     table, found = script("21_less/table"), {}
     jobs = table.read(LESS / "results/ablation.csv.xz", "2")
     for name in ("whole", "last"):
@@ -403,6 +403,29 @@ def test_what_the_paper_is_told_of_branching_is_what_best_does():
     worst = found["last"][2].max() / 1e6
     told = f"(to the level p {p:.2f} at least; one ANYmal-C is there after {worst:.2f} M)"
     assert told in page
+    walk = pairs_of(*(controls_of("2", f"control-{name}") for name in ("last", "whole")), "walks")
+    assert min(ranks_of(walk)[0]) > 0.05 and "In the `best` of 2026-11-26 neither was so" in page
+    # today
+    best, last = headline_of("best", table.LAST), controls_of("4", "control-last")
+    level, walk = (pairs_of(last, best, what) for what in ("level", "walks"))
+    told = f"From the last states it is {times_of(level)} times the steps of `best`"
+    assert f"{told} (rank tests, p {min(ranks_of(level)[0]):.2f} at least)" in page
+    (p, holm), times = ranks_of(walk), [stats.ratio(*pair) for pair in walk]
+    assert [x < 0.05 for x in holm] == [False, True, False, False]
+    told = f"{times[1].value:.1f} times the steps ({times[1].low:.1f} to {times[1].high:.1f}; p {p[1]:.3f},"
+    assert f"A Go2 walks later, after {told} by Holm {holm[1]:.3f})" in page
+    after = [table.phase(jobs[1])[:, 2] for jobs in (last, best)]
+    told = (
+        "ten iterations after its last tail it falls in {:.2f} instead of {:.2f} % of the episodes"
+    )
+    told = told.format(*(x.mean() for x in after)) + f" (p {stats.rank_sum(*after):.3f}"
+    assert f"{told}; looked at afterwards)" in page
+    welch = [stats.welch_of(*pair) for pair in walk]
+    told = "An ANYmal-D walks after {:.2f} times ({:.2f} to {:.2f}), which rank tests do not show"
+    told = (
+        f"{told.format(*times[3])} (p {p[3]:.3f}, by Holm {holm[3]:.2f}; Welch's {welch[3]:.3f} and"
+    )
+    assert f"{told} {stats.holm(welch)[3]:.3f})" in page
 
 
 @pytest.mark.parametrize("name", ["run", "table"])
@@ -611,8 +634,181 @@ def test_the_tables_of_controls_are_those_of_their_runs(monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["table.py", str(LESS / "results/ablation.csv.xz"), "--model"])
     script("21_less/table").main()
     printed = capsys.readouterr().out.strip().split("\n\n")
-    assert [len(table.splitlines()) - 2 for table in printed] == [5, 4, 14]
+    assert [len(table.splitlines()) - 2 for table in printed] == [8, 4, 14]
     assert all(f"\n\n{table}\n\n" in page for table in printed)
+
+
+def list_of(words):
+    """`A, B, C and D`."""
+    *before, last = words
+    return f"{', '.join(before)} and {last}"
+
+
+def times_of(pairs, digits=2):
+    """Ratios of means of pairs, each with Fieller's interval: `A (LOW to HIGH), ... and D (LOW to HIGH)`."""
+    found = [[f"{x:.{digits}f}" for x in stats.ratio(*pair)] for pair in pairs]
+    return list_of([f"{value} ({low} to {high})" for value, low, high in found])
+
+
+def controls_of(batch, name):
+    """Jobs of a control or of updates.txt on the four robots."""
+    jobs = script("21_less/table").read(LESS / "results/ablation.csv.xz", batch)
+    return [jobs[f"{name}-{x}"] for x in LETTERS.values()]
+
+
+def headline_of(name, last=np.inf):
+    """Jobs of the headline on the four robots, up to an iteration."""
+    _, jobs = less("headline")
+    return [
+        [row for row in jobs[f"{name}-{x}"] if row["iteration"] <= last] for x in LETTERS.values()
+    ]
+
+
+def pairs_of(ours, others, what):
+    """Steps until each seed is first at the level, or `walks`, of both on each robot."""
+    table = script("21_less/table")
+    found = [
+        [
+            getattr(table.reached(table.seeds(job), table.walks.level(table.best(job))), what)
+            for job in jobs
+        ]
+        for jobs in (ours, others)
+    ]
+    return [*zip(*found, strict=True)]
+
+
+def ranks_of(pairs):
+    """p of rank tests of pairs, and by Holm over them."""
+    p = [stats.rank_sum(*pair) for pair in pairs]
+    return p, stats.holm(p)
+
+
+def ends_of(jobs, column):
+    """Of each seed on each robot: the mean of its last three evaluations."""
+    table = script("21_less/table")
+    return [
+        np.array([np.mean([row[column] for row in run[-3:]]) for run in table.seeds(job)])
+        for job in jobs
+    ]
+
+
+def test_what_the_page_says_of_as_many_updates_is_so():
+    """PPO alone with as many real rows, with 15 and 5 epochs, beside `best` and PPO tuned for the level."""
+    page, table = " ".join((LESS / "model.md").read_text().split()), script("21_less/table")
+    best, tuned = headline_of("best", table.LAST), headline_of("ppo-level")
+    many, few = (controls_of("4", f"updates-208-{n}") for n in (15, 5))
+    assert {len(table.seeds(job)) for job in many + few} == {5}
+    assert {len(table.seeds(job)) for job in tuned} == {10}
+    soonest = min(x.min() for x, _ in pairs_of(many, best, "level")) / 1e6
+    told = f"at the level after 0.8 M or later; that held: no seed is before {soonest:.2f}"
+    assert soonest > 0.8 and told in page
+    assert {(row["device"], row["commit"]) for job in many + few for row in job} == {
+        ("NVIDIA H200", "34c7be27a05b-dirty")
+    }
+    assert (
+        "2026-11-29, commit 34c7be27 with `experiments/next.txt` and `folders.md` changed" in page
+    )
+    level, walk = (pairs_of(many, best, what) for what in ("level", "walks"))
+    told = f"To the level it needs {times_of(level, 1)} times the steps of `best`, to a walk"
+    assert f"{told} {times_of(walk, 1)} times" in page
+    holm = max(ranks_of(pairs)[1].max() for pairs in (level, walk))
+    assert f"(rank tests, by Holm {holm:.3f} at most)" in page
+    assert min(stats.ratio(*pair).low for pair in level + walk) > 1.5
+    assert sum(np.isnan(one).sum() for pair in walk for one in pair) == 1  # Go1 of `best`
+    level, walk = (pairs_of(few, best, what) for what in ("level", "walks"))
+    told = [list_of([f"{stats.ratio(*pair).value:.1f}" for pair in some]) for some in (level, walk)]
+    assert "with 5 epochs {} times, and {}".format(*told) in page
+    assert max(ranks_of(pairs)[1].max() for pairs in (level, walk)) < 0.05
+    lead = [stats.ratio(*pair).value for pair in pairs_of(many, best, "level")]
+    assert (
+        f"PPO alone needs {min(lead):.1f} to {max(lead):.1f} times its steps to the level" in page
+    )
+
+    def then(jobs):
+        runs = [(table.seeds(job), table.walks.level(table.best(job))) for job in jobs]
+        some = ([100 * table.first(run, at, "fall_rate") for run in mine] for mine, at in runs)
+        return list_of([f"{np.mean(one):.1f}" for one in some])
+
+    def end(jobs):
+        return list_of([f"{100 * one.mean():.1f}" for one in ends_of(jobs, "fall_rate")])
+
+    told = f"it falls in {then(many)} % of the episodes (`best`: {then(best)})"
+    assert f"{told}, at the end in {end(many)} ({end(best)}, of ANYmals after 0.6 M more)" in page
+    last = [[job[-1]["sim_steps"] / 1e6 for job in jobs] for jobs in (many, best, tuned)]
+    np.testing.assert_allclose(np.subtract(last[1], last[0]), [0, 0, 0.63, 0.63], atol=0.03)
+    assert "At the end, after 3.7 M each, it" in page
+    np.testing.assert_allclose(last[::2], 3.7, atol=0.05)
+    p, holm = ranks_of([*zip(*(ends_of(x, "fall_rate") for x in (many, best)), strict=True)])
+    assert f"more only on ANYmal-D (p {p[3]:.3f}, by Holm {holm[3]:.3f})" in page
+    assert min(p[:3]) > 0.05 > holm[3]
+    for ours, epochs in (many, 15), (few, 5):  # with the robots and settings of `best`
+        for own in pairs_of(controls_of("3", f"control-real20-{epochs}"), ours, "level"):
+            assert np.nanmean(own[0]) > 1.5 * own[1].max()
+    # 15 epochs beside 5
+    level, walk = (pairs_of(many, few, what) for what in ("level", "walks"))
+    p = [stats.welch_of(*pair) for pair in level]
+    ranks, holm = ranks_of(walk)
+    assert min(p) < min(ranks_of(level)[0]) and min(holm) == holm[3] > 0.05
+    told = (
+        f"to the level p {min(p):.2f} at least; an ANYmal-D walks later, p {ranks[3]:.3f}, by Holm"
+    )
+    assert f"{told} {holm[3]:.2f})" in page and np.nanmean(walk[3][0]) > np.nanmean(walk[3][1])
+    # PPO tuned for the level
+    level, walk = (pairs_of(many, tuned, what) for what in ("level", "walks"))
+    assert f"to the level {times_of(level)} times its steps" in page
+    p = [min(ranks_of(some)[0]) for some in (level, walk)]
+    assert "(rank tests, p {:.2f} at least; to a walk {:.2f})".format(*p) in page
+    more = [*zip(*(ends_of(x, "return") for x in (many, tuned)), strict=True)]
+    told = list_of([f"{a.mean() - b.mean():.1f}" for a, b in more])
+    holm = stats.holm([stats.welch_of(*pair) for pair in more]).max()
+    assert f"it returns {told} more (Welch, by Holm {holm:.3f} at most;" in page
+    level, walk = (pairs_of(few, tuned, what) for what in ("level", "walks"))
+    assert (
+        f"With 5 epochs none is shown to the level either (p {min(ranks_of(level)[0]):.2f}" in page
+    )
+    p, holm = ranks_of(walk)
+    assert [x < 0.05 for x in holm] == [False, False, False, True]
+    assert np.isnan(walk[3][1]).sum() == 5 and len(walk[3][1]) == 10
+    told = f"an ANYmal-D walks sooner (five of ten never with the tuned; p {p[3]:.3f}, by Holm {holm[3]:.3f};"
+    p = stats.rank_sum(*pairs_of(few, headline_of("ppo-walk"), "walks")[3])
+    assert f"{told} beside PPO tuned to walk not shown, p {p:.2f})" in page
+
+
+def test_what_the_page_says_of_the_simulators_tails_is_so():
+    """The simulator's tails beside the model's from the same states."""
+    page, table = " ".join((LESS / "model.md").read_text().split()), script("21_less/table")
+    last, simulator = controls_of("4", "control-last"), controls_of("3", "control-simulator")
+
+    def seeds(jobs):
+        return [[run[0]["seed"] for run in table.seeds(job)] for job in jobs]
+
+    assert seeds(last) == seeds(simulator) == [[*range(100, 105)]] * 4
+    level, walk = (pairs_of(simulator, last, what) for what in ("level", "walks"))
+    (p, holm), times = ranks_of(walk), [stats.ratio(*pair) for pair in walk]
+    one, *others = times_of(walk).split(" ", 1)
+    told = f"{one} (95 %: {others[0].removeprefix('(')} times the steps of the model's from the same states"
+    assert told in page
+    text = f"(Fieller; rank tests, p {list_of([f'{x:.3f}' for x in p])}, by Holm over four robots"
+    assert f"{text} {max(holm):.3f} at most;" in page and max(holm) < 0.05
+    assert times[0].high > 1 > max(x.high for x in times[1:])
+    assert f"a Go1's last seed walks after {max(walk[0][1]) / 1e6:.2f} M" in page
+    assert all(1 / 3 < x.value < 2 / 3 for x in times)
+    assert "all four robots walk after a third to two thirds of the steps" in page
+    p, holm = ranks_of(level)
+    told = f"it is {times_of(level)} times (p {list_of([f'{x:.3f}' for x in p])}, by Holm {min(holm):.2f}"
+    assert f"{told} at least)" in page and min(holm) > 0.05
+    assert all(stats.ratio(*pair).low < 1 < stats.ratio(*pair).high for pair in level)
+    value = [stats.ratio(*pair).value for pair in level]
+    assert f"({min(value):.2f} to {max(value):.2f} times the steps, five seeds)" in page
+    falls = [
+        *zip(*([table.phase(x)[:, 0] for x in jobs] for jobs in (simulator, last)), strict=True)
+    ]
+    few, many = (list_of([f"{x.mean():.2f}" for x in some]) for some in zip(*falls, strict=True))
+    told = f"in {few} % of the episodes with the simulator's tails, in {many} with the model's from the"
+    p, holm = ranks_of(falls)
+    p, holm = (list_of([f"{x:.3f}" for x in some]) for some in (p, holm))
+    assert f"{told} same states (p {p}, by Holm {holm}: shown on Go1)" in page
+    assert all(4 * a.mean() < b.mean() for a, b in falls)  # most
 
 
 def test_what_the_page_of_controls_says_is_so():
@@ -637,17 +833,18 @@ def test_what_the_page_of_controls_says_is_so():
         for x in LETTERS.values()
     ]
     best, simulator = reached(short), reached(of("3", "simulator"))
-    found = [stats.ratio(a.level, b.level) for a, b in zip(simulator, best, strict=True)]
-    text = "{:.2f} (95 %: {:.2f} to {:.2f}), {:.2f} ({:.2f} to {:.2f}), {:.2f} ({:.2f} to {:.2f})"
-    text += " and {:.2f} ({:.2f} to {:.2f}) times the steps"
-    assert text.format(*np.ravel(found)) in page
-    p = [stats.rank_sum(a.level, b.level) for a, b in zip(simulator, best, strict=True)]
-    assert "p {:.2f}, {:.2f}, {:.4f} and {:.3f})".format(*p) in page
-    p = [stats.rank_sum(a.walks, b.walks) for a, b in zip(simulator, best, strict=True)]
-    assert "p {0:.3f}, {2:.3f} and {3:.4f}, by Holm".format(*p) in page
-    assert f"(p {p[1]:.2f})" in page and stats.holm(p)[[0, 2, 3]].max() < 0.0041
-    assert f"in {falls(of('3', 'simulator'))} % of the episodes with the simulator" in page
-    assert f"in {falls([head[f'best-{x}'] for x in LETTERS.values()])} % with" in page
+    pairs = [(a.level, b.level) for a, b in zip(simulator, best, strict=True)]
+    p, holm = ranks_of(pairs)
+    text = f"Beside `best` it is {times_of(pairs)} times"
+    assert f"{text} (p {p[0]:.2f}, {p[1]:.2f}, {p[2]:.4f} and {p[3]:.3f})" in page
+    assert [x < 0.05 for x in holm] == [False, False, True, True]
+    pairs = [(a.walks, b.walks) for a, b in zip(simulator, best, strict=True)]
+    times, (p, holm) = [f"{stats.ratio(*pair).value:.2f}" for pair in pairs], ranks_of(pairs)
+    text = "Beside `best` it is {}, without the seed that never walks, {}, {} and {}".format(*times)
+    assert f"{text} (p {p[0]:.3f}, {p[1]:.2f}, {p[2]:.3f} and {p[3]:.4f}; on Go2 not shown)" in page
+    assert [x < 0.05 for x in holm] == [True, False, True, True]
+    assert np.isnan([x for pair in pairs for one in pair for x in one]).sum() == 1
+    assert f"with those of `best` {falls([head[f'best-{x}'] for x in LETTERS.values()])}" in page
     few, many = (
         [table.phase(job)[:, 0].mean() for job in jobs]
         for jobs in (of("3", "simulator"), [head[f"best-{x}"] for x in LETTERS.values()])
@@ -656,7 +853,7 @@ def test_what_the_page_of_controls_says_is_so():
     more = " ".join((LESS / "falls.md").read_text().split())
     told = f"it is {min(few):.1f} to {max(few):.1f} %: most of these falls likely come from the model's "
     assert told + "errors (where tails start differs, too;" in more
-    assert "likely come from its errors** (where tails start differs, too)." in page
+    assert "likely come from its errors.**" in page
     older = falls(of("2", "simulator")), falls(of("2", "last"))
     assert "fall in {} % of the episodes instead of {}.".format(*older) in page
     for job, whole in zip(short, best, strict=True):  # 200 of the 1000 episodes
@@ -672,15 +869,6 @@ def test_what_the_page_of_controls_says_is_so():
         whole = np.nan_to_num(whole.walks, nan=job[-1]["sim_steps"]).mean()
         assert np.mean(walks) > 0.99 * whole
     # the lead
-    far = [stats.ratio(a.level, b.level) for a, b in zip(simulator, best, strict=True)]
-    assert [one.high < 1 for one in far] == [False, False, True, True]
-    assert all(1 - one.value == pytest.approx(1 / 3, abs=0.04) for one in far[2:])
-    saved = [
-        np.nanmean(a.walks) / np.nanmean(b.walks) for a, b in zip(simulator, best, strict=True)
-    ]
-    assert all(0.3 < saved[k] < 0.55 for k in (0, 2, 3)) and p[1] > 0.05
-    lead = "ANYmals are at their level after a third fewer steps (Go1, Go2: not shown), and three of four "
-    assert lead + "robots walk after a third to a half of the steps." in page
     alone = of("3", "real4-15")
     ends = {run[-1]["sim_steps"] for job in alone for run in table.seeds(job)}
     assert np.isnan([one.level for one in reached(alone)]).all() and len(ends) == 1
@@ -697,7 +885,8 @@ def test_what_the_page_of_controls_says_is_so():
     later = [np.mean(a.level - b.level) / 1e6 for a, b in zip(epochs, real, strict=True)]
     assert "by {:.2f} and {:.2f} M (rank tests, p 0.008 each)".format(*later[2:]) in page
     p = [stats.rank_sum(a.level, b.level) for a, b in zip(epochs, real, strict=True)]
-    np.testing.assert_allclose(p, [0.67, 0.14, 0.008, 0.008], atol=5e-3)
+    np.testing.assert_allclose(p[2:], 0.008, atol=5e-4)
+    assert f"miss the level within 4.1 M: not shown (p {p[0]:.2f}, {p[1]:.2f})" in page
     never = [[int(np.isnan(x.level).sum()) for x in some] for some in (epochs, real)]
     assert never == [[2, 3, 0, 0], [0, 1, 0, 0]]
     rows = table.seeds(of("3", "real4-15")[0])[0][-1]["sim_steps"]
