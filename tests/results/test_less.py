@@ -409,7 +409,17 @@ def test_what_the_paper_is_told_of_branching_is_what_best_does():
     best, last = headline_of("best", table.LAST), controls_of("4", "control-last")
     level, walk = (pairs_of(last, best, what) for what in ("level", "walks"))
     told = f"From the last states it is {times_of(level)} times the steps of `best`"
-    assert f"{told} (rank tests, p {min(ranks_of(level)[0]):.2f} at least)" in page
+    least = min(ranks_of(level)[0])
+    assert f"{told} (rank tests, p {least:.2f} at least)" in page
+    steps = ", ".join("{1:.2f} and {0:.2f}".format(*(x.mean() / 1e6 for x in one)) for one in level)
+    told = f"in today's `best` {steps}, p {least:.2f} at least, but a Go2 walks sooner from drawn rows, Holm "
+    later = [x.mean() / 1e6 for x in walk[1]]
+    holm = ranks_of(walk)[1][1]
+    assert f"{told}{holm:.3f};" in (EXPERIMENTS / "paper/README.md").read_text()
+    told = (
+        f"(p {least:.2f} at least); a Go2 walks sooner from drawn rows ({later[1]:.2f} instead of "
+    )
+    assert f"{told}{later[0]:.2f} M, Holm {holm:.3f};" in (EXPERIMENTS / "README.md").read_text()
     (p, holm), times = ranks_of(walk), [stats.ratio(*pair) for pair in walk]
     assert [x < 0.05 for x in holm] == [False, True, False, False]
     told = f"{times[1].value:.1f} times the steps ({times[1].low:.1f} to {times[1].high:.1f}; p {p[1]:.3f},"
@@ -709,6 +719,15 @@ def test_what_the_page_says_of_as_many_updates_is_so():
         "2026-11-29, commit 34c7be27 with `experiments/next.txt` and `folders.md` changed" in page
     )
     level, walk = (pairs_of(many, best, what) for what in ("level", "walks"))
+    lead = [stats.ratio(*pair).value for pair in level]
+    times, holm = f"{min(lead):.1f} to {max(lead):.1f} times", ranks_of(level)[1].max()
+    verdict, front, other = (
+        " ".join((EXPERIMENTS / x / "README.md").read_text().split())
+        for x in ("", "21_less", "23_untuned")
+    )
+    assert f"needs {times} the steps of `best` to the level (five seeds, Holm {holm:.3f}" in verdict
+    assert f"with them PPO needs {times} the steps of `best` to the level" in other
+    assert f"as many updates on as many real rows need {times} the steps to the level" in front
     told = f"To the level it needs {times_of(level, 1)} times the steps of `best`, to a walk"
     assert f"{told} {times_of(walk, 1)} times" in page
     holm = max(ranks_of(pairs)[1].max() for pairs in (level, walk))
@@ -719,10 +738,7 @@ def test_what_the_page_says_of_as_many_updates_is_so():
     told = [list_of([f"{stats.ratio(*pair).value:.1f}" for pair in some]) for some in (level, walk)]
     assert "with 5 epochs {} times, and {}".format(*told) in page
     assert max(ranks_of(pairs)[1].max() for pairs in (level, walk)) < 0.05
-    lead = [stats.ratio(*pair).value for pair in pairs_of(many, best, "level")]
-    assert (
-        f"PPO alone needs {min(lead):.1f} to {max(lead):.1f} times its steps to the level" in page
-    )
+    assert f"PPO alone needs {times} its steps to the level" in page
 
     def then(jobs):
         runs = [(table.seeds(job), table.walks.level(table.best(job))) for job in jobs]
@@ -759,7 +775,9 @@ def test_what_the_page_says_of_as_many_updates_is_so():
     p = [min(ranks_of(some)[0]) for some in (level, walk)]
     assert "(rank tests, p {:.2f} at least; to a walk {:.2f})".format(*p) in page
     more = [*zip(*(ends_of(x, "return") for x in (many, tuned)), strict=True)]
-    told = list_of([f"{a.mean() - b.mean():.1f}" for a, b in more])
+    gain = [a.mean() - b.mean() for a, b in more]
+    told = list_of([f"{x:.1f}" for x in gain])
+    assert f"it returns {min(gain):.1f} to {max(gain):.1f} more at the end" in front
     holm = stats.holm([stats.welch_of(*pair) for pair in more]).max()
     assert f"it returns {told} more (Welch, by Holm {holm:.3f} at most;" in page
     level, walk = (pairs_of(few, tuned, what) for what in ("level", "walks"))
@@ -790,6 +808,13 @@ def test_what_the_page_says_of_the_simulators_tails_is_so():
     assert told in page
     text = f"(Fieller; rank tests, p {list_of([f'{x:.3f}' for x in p])}, by Holm over four robots"
     assert f"{text} {max(holm):.3f} at most;" in page and max(holm) < 0.05
+    verdict, front = (
+        " ".join((EXPERIMENTS / x / "README.md").read_text().split()) for x in ("", "21_less")
+    )
+    value = [one.value for one in times]
+    told = f"robots walk after {min(value):.2f} to {max(value):.2f} times the steps of"
+    assert f"{told} the model's tails from the same states (Holm {max(holm):.3f})" in verdict
+    assert f"{told} tails from the same states" in front
     assert times[0].high > 1 > max(x.high for x in times[1:])
     assert f"a Go1's last seed walks after {max(walk[0][1]) / 1e6:.2f} M" in page
     assert all(1 / 3 < x.value < 2 / 3 for x in times)
@@ -797,12 +822,16 @@ def test_what_the_page_says_of_the_simulators_tails_is_so():
     p, holm = ranks_of(level)
     told = f"it is {times_of(level)} times (p {list_of([f'{x:.3f}' for x in p])}, by Holm {min(holm):.2f}"
     assert f"{told} at least)" in page and min(holm) > 0.05
+    assert f"is not shown beside these (Holm {min(holm):.2f})" in verdict
     assert all(stats.ratio(*pair).low < 1 < stats.ratio(*pair).high for pair in level)
     value = [stats.ratio(*pair).value for pair in level]
     assert f"({min(value):.2f} to {max(value):.2f} times the steps, five seeds)" in page
     falls = [
         *zip(*([table.phase(x)[:, 0] for x in jobs] for jobs in (simulator, last)), strict=True)
     ]
+    more = [x.mean() for _, x in falls]
+    told = "(with its tails from the same states as the simulator's it is {:.1f} to {:.1f} %;"
+    assert told.format(min(more), max(more)) in " ".join((LESS / "falls.md").read_text().split())
     few, many = (list_of([f"{x.mean():.2f}" for x in some]) for some in zip(*falls, strict=True))
     told = f"in {few} % of the episodes with the simulator's tails, in {many} with the model's from the"
     p, holm = ranks_of(falls)
@@ -852,7 +881,7 @@ def test_what_the_page_of_controls_says_is_so():
     assert all(2 * a < b for a, b in zip(few, many, strict=True))  # most
     more = " ".join((LESS / "falls.md").read_text().split())
     told = f"it is {min(few):.1f} to {max(few):.1f} %: most of these falls likely come from the model's "
-    assert told + "errors (where tails start differs, too;" in more
+    assert told + "errors (with its tails from the same states as the simulator's it is" in more
     assert "likely come from its errors.**" in page
     older = falls(of("2", "simulator")), falls(of("2", "last"))
     assert "fall in {} % of the episodes instead of {}.".format(*older) in page
