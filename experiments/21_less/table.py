@@ -15,7 +15,8 @@ per cent of falls while the model writes tails and after.
 
 `--parts`: a line a part that was taken out, a column a robot: steps until it walks, until it is first at the
 level, then return and falls at the end. `--model` (ablation.csv.xz): the tables of model.md: what writes a
-tail in today's `best`, in that of 2026-11-26, and the parts.
+tail in today's `best`, what these need beside each other, the former in the `best` of 2026-11-26, and the
+parts.
 
 What walking is, README.md and dynappo/policy/walks.py say. All are means over seeds, and in brackets the last
 seed's; a seed that never gets there is counted as missing. The end is the mean of a seed's last three
@@ -47,6 +48,16 @@ TAILS = {  # jobs of controls.txt and updates.txt -> what writes a tail
     "updates-208-5": "208 robots, 20 real rows, 5 epochs",
     "real20-5": "the simulator, counted: 20 real rows, 5 epochs",
     "real20-15": "20 real rows, 15 epochs",
+}
+PAIRS = {  # jobs of TAILS or of the headline, and what they are beside
+    ("simulator", "last"): "the simulator's tails beside the model's from the same states",
+    ("simulator", "whole"): "the same beside `best`",
+    ("last", "whole"): "the model's tails from the last states beside `best`",
+    ("updates-208-15", "whole"): "208 robots, 15 epochs, beside `best`",
+    ("updates-208-5", "whole"): "208 robots, 5 epochs, beside `best`",
+    ("updates-208-15", "updates-208-5"): "15 epochs beside 5",
+    ("updates-208-15", "ppo-level"): "15 epochs beside PPO tuned for the level",
+    ("updates-208-5", "ppo-level"): "5 epochs beside PPO tuned for the level",
 }
 PARTS = {  # jobs of ablation.txt -> what is taken out
     "all": "(all parts)",
@@ -321,6 +332,7 @@ def model(jobs, headline) -> str:
     for robot in ROBOTS:
         best = [row for row in headline[f"best-{robot}"] if row["iteration"] <= LAST]
         batches["today"][f"whole-{robot}"] = best
+        batches["today"][f"ppo-level-{robot}"] = headline[f"ppo-level-{robot}"]
     tables = []
     for batch, title in (
         ("today", "what writes 16 of 20 rows"),
@@ -332,11 +344,38 @@ def model(jobs, headline) -> str:
             if all(asked):
                 lines.append([label, *map(to_both, asked)])
         tables.append(paper.markdown([title, *ROBOTS.values()], lines))
+    tables.insert(1, times(batches["today"]))
     lines = []
     for name, label in PARTS.items():
         asked = [batches["parts"].get(f"{name}-{robot}") for robot in ROBOTS]
         lines.append([label, *(part(job) if job else "" for job in asked)])
     return "\n\n".join([*tables, paper.markdown(["without", *ROBOTS.values()], lines)])
+
+
+def times(jobs) -> str:
+    """In Markdown, how many times the steps of another: `PAIRS`, to the level and to a walk.
+
+    Ratios of means with Fieller's interval, of the seeds that get there ("*": some do not). Bold: a rank
+    test, in which a seed that never does is last, has p below 0.05 by Holm over the four robots."""
+    lines = []
+    for (one, other), label in PAIRS.items():
+        for what in ("level", "walks"):
+            pairs = [
+                [
+                    getattr(reached(seeds(job), walks.level(best(job))), what)
+                    for job in (jobs[f"{one}-{robot}"], jobs[f"{other}-{robot}"])
+                ]
+                for robot in ROBOTS
+            ]
+            p, cells = stats.holm([stats.rank_sum(*pair) for pair in pairs]), []
+            for pair, shown in zip(pairs, p, strict=True):
+                value, low, high = stats.ratio(*pair)
+                some = "*" if np.isnan(np.concatenate(pair)).any() else ""
+                cells.append(f"{value:.2f}{some} ({low:.2f} to {high:.2f})")
+                if shown < stats.ALPHA:
+                    cells[-1] = f"**{cells[-1]}**"
+            lines.append([label if what == "level" else "… to a walk", *cells])
+    return paper.markdown(["times the steps, to the level", *ROBOTS.values()], lines)
 
 
 def to_both(job) -> str:
