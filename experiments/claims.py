@@ -104,7 +104,7 @@ STATED = {  # name -> where, and the words
     "go1 PPO walks": [("README.md", "commands and {:.1f} million to walk")],
     "go1 PPO first at 38": [
         ("README.md", "needs {:.1f} million to follow"),
-        ("experiments/README.md", "tuned for each of the two | {:.2f} M"),
+        ("experiments/README.md", "the second is at the level after 1.01 M) | {:.2f} M"),
     ],
     "go1 few, first at 38": [
         ("README.md", "follows commands after {:.1f} thousand steps"),
@@ -122,7 +122,7 @@ STATED = {  # name -> where, and the words
     ],
     "go1 CrossQ with 256 robots, first at 38": [
         ("experiments/README.md", "no model ([24](24_off_policy/README.md)) | {:.2f} M"),
-        ("README.md", "follows commands after {:.2f} million (five"),
+        ("README.md", "follows commands after {:.2f} million, 0.70 times"),
         ("experiments/24_off_policy/README.md", "(Go1, today's task) after {:.2f} M simulator"),
     ],
     "go1 CrossQ with 64 robots, first at 38": [

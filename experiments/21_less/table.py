@@ -335,7 +335,7 @@ def model(jobs, headline) -> str:
         batches["today"][f"ppo-level-{robot}"] = headline[f"ppo-level-{robot}"]
     tables = []
     for batch, title in (
-        ("today", "what writes 16 of 20 rows"),
+        ("today", "what writes 16 of 20 rows, or runs instead"),
         ("before", "in the `best` of 2026-11-26"),
     ):
         found, lines = batches[batch], []

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from result_files import EXPERIMENTS, few_fresh, few_jobs, few_of, script
+from result_files import EXPERIMENTS, few_fresh, few_jobs, few_of, less, script
 
 from dynappo.config import versions
 from experiments import paper, stats
@@ -51,7 +51,10 @@ def test_the_page_of_the_peers_has_the_numbers_of_its_runs(drawn, monkeypatch, c
     assert seeds["sac-symmetric"] == seeds["sac-today"] == first
     assert seeds["crossq-symmetric"] == later and seeds["crossq"] == later + first
     assert "SAC 100 to 102, CrossQ 103 to 107, with mirrored batches 100 to 107." in words
-    assert f"PPO, tuned and symmetric, needs {level['ppo-level-g'].mean():.2f} M" in words
+    assert (
+        f"PPO, tuned for the level and symmetric, needs {level['ppo-level-g'].mean():.2f} M"
+        in words
+    )
     assert (
         " {} after {} M.".format(rows["ppo-level-g"][10].split()[0], rows["ppo-level-g"][9])
         in words
@@ -478,6 +481,17 @@ def test_the_page_says_how_sac_with_symmetric_networks_is_beside_others():
     assert gap_of("to 38 {} M fewer ({} to {}, p {:.3f}).", ppo, sac) in mine
     assert f"alone the latter is not shown (p {stats.welch_of(ppo, whole):.2f})" in mine
     assert stats.difference(ppo, whole).low < 0
+    _, head = less("headline")
+    other = table.reached(table.seeds(head["ppo-walk-g"]), 38).level / 1e6
+    more = stats.difference(other, sac)
+    told = f"nor beside PPO tuned to walk, which is there after {other.mean():.2f} M ({more.value:.2f} more, "
+    told += f"{-more.low:.2f} fewer to {more.high:.2f} more, p {stats.welch_of(other, sac):.2f})"
+    assert (
+        told in mine and f"that tuned to walk needs {other.mean():.2f}, which is not shown" in words
+    )
+    verdict = " ".join((EXPERIMENTS / "README.md").read_text().split())
+    told = f"PPO for the level {gap.value:.2f} M more, {gap.low:.2f} to {gap.high:.2f}, beside PPO to walk"
+    assert f"{told} no difference is shown" in verdict
     told = "to 35 {} M more ({} to {}, p {:.4f})"
     assert gap_of(told, to(35, "sac-twice"), to(35, "best-g")) in mine
     told = gap_of("to 38 {} M more ({} to {}, p {:.3f}), which is ", sac, best)
