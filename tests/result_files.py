@@ -10,6 +10,8 @@ import sys
 import numpy as np
 from answers import ROOT
 
+from experiments import paper
+
 EXPERIMENTS = ROOT / "experiments"
 ROW_COST = "30_row_cost"
 HUMANOID = EXPERIMENTS / "25_humanoid"
@@ -94,3 +96,19 @@ def packed(name):
 def column(job, name):
     """Of a job's seeds and evaluations, `[S, E]`."""
     return np.array([[float(row[name]) for row in rows] for rows in job.values()])
+
+
+def ours_of(name, results="headline"):
+    """Steps of a job of the headline, or of another file."""
+    table, jobs = less(results)
+    return table.reached(table.seeds(jobs[name]), 38 if name[-1] in "gh" else 24)
+
+
+def fields_of(path):
+    """`name -> (robot, fields without those of run)` of a file of jobs."""
+    found = {}
+    for name, line in paper.jobs(LESS / path).items():
+        robot, *fields = line.split()
+        fields = dict(field.split("=", 1) for field in fields)
+        found[name] = robot, {k: v for k, v in fields.items() if not k.startswith("run.")}
+    return found
