@@ -34,6 +34,8 @@ def test_steps_falls_and_walks_of_a_go1_are_those_of_the_runs():
         cells(line) for line in PAGE.split("## Does the paper")[0].splitlines() if line[:1] == "|"
     ]
     assert len(rows) == 2 + 4
+    second = table.reached(of["ppo-walk"], 38).level.mean() / 1e6
+    assert f"(the second is at the level after {second:.2f} M)" in rows[-1][0]
     for row, (level, walk, unit, digits) in zip(
         rows[2:],
         (
