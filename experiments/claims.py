@@ -307,7 +307,7 @@ STATED = {  # name -> where, and the words
         (ROW_COST, "for {:.1f} times the steps (4.3 to 5.9). Of `best`"),
     ],
     "g1 seconds to a walk, MuJoCo Warp": [
-        ("README.md", "five of five seeds walk, after {:.1f} s"),
+        ("README.md", "Five of five seeds walk there, after {:.1f} s"),
         ("experiments/25_humanoid/seconds.md", "walk by their end, after {:.2f} and"),
         (ROW_COST, "Of the second run alone: after {:.2f} and 18.07 s"),
     ],
