@@ -1526,6 +1526,32 @@ def test_jobs_of_the_row_costs_are_valid_and_of_places_that_have_a_name():
         measure.read("go1:best", ["engine=c"])
 
 
+def test_jobs_of_fast_in_seconds_are_the_papers_and_what_its_page_says():
+    """Variants as configs/ has them, 4096 robots, on fresh seeds; PPO-16 beside each on its engine."""
+    measure, folder = script(f"{ROW_COST}/run"), EXPERIMENTS / "13_step_time"
+    jobs = dict(line.split(maxsplit=1) for line in (folder / "fast.txt").read_text().splitlines())
+    assert [*jobs] == [f"go1.kernel.{x}" for x in ("ppo16", "fast", "dyna4")] + [
+        f"go1.warp.{x}" for x in ("ppo16", "fast")
+    ]
+    for name, line in jobs.items():
+        job, *fields = line.split()
+        read = measure.read(job, fields)
+        place, _, variant = name.rpartition(".")
+        assert job == f"go1:{variant}" and read.config.rollout.num_envs == 4096
+        assert {field.split("=")[0] for field in fields} <= {
+            *"seeds engine run.seed run.num_iterations run.log_every".split()
+        }
+        assert (read.engine == "mujoco_warp") == (place == "go1.warp")
+        assert (read.seeds, read.config.run.seed) == (5, 1100)
+        ends = measure.ends(read.config)
+        assert [*ends] == [*range(20, 401, 20)]
+    text = " ".join((folder / "README.md").read_text().split())
+    assert (
+        "five fresh seeds each (1100 to 1104)" in text
+        and "400 iterations, evaluated every 20" in text
+    )
+
+
 def test_a_run_alone_is_timed_between_evaluations_and_keeps_its_policies(monkeypatch):
     measure = script(f"{ROW_COST}/run")
     job = measure.read("go1:best", ["run.num_iterations=20", "seeds=2", "rollout.num_envs=16"])
