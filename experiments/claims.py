@@ -104,7 +104,7 @@ STATED = {  # name -> where, and the words
     "go1 PPO walks": [("README.md", "commands and {:.1f} million to walk")],
     "go1 PPO first at 38": [
         ("README.md", "needs {:.1f} million to follow"),
-        ("experiments/README.md", "the second is at the level after 1.01 M) | {:.2f} M"),
+        ("experiments/README.md", " M) | {:.2f} M"),
     ],
     "go1 few, first at 38": [
         ("README.md", "follows commands after {:.1f} thousand steps"),
@@ -115,14 +115,13 @@ STATED = {  # name -> where, and the words
         ("experiments/README.md", "an ANYmal-C after {:.1f} thousand"),
     ],
     "go1 symmetric SAC first at 38": [
-        ("README.md", "treat left and right alike, needs {:.2f} million"),
         ("docs/results.md", "treat left and right alike is at 38 after {:.2f} M steps"),
         ("experiments/README.md", "SAC with symmetric networks needs {:.2f} M"),
         ("experiments/24_off_policy/README.md", "alike is there after {:.2f} M (the last"),
     ],
     "go1 CrossQ with 256 robots, first at 38": [
         ("experiments/README.md", "no model ([24](24_off_policy/README.md)) | {:.2f} M"),
-        ("README.md", "follows commands after {:.2f} million, 0.70 times"),
+        ("README.md", "model of them, follows commands after {:.2f} million,"),
         ("experiments/24_off_policy/README.md", "(Go1, today's task) after {:.2f} M simulator"),
     ],
     "go1 CrossQ with 64 robots, first at 38": [

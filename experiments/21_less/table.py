@@ -76,12 +76,8 @@ PARTS = {  # jobs of ablation.txt -> what is taken out
     "episodes": "episodes of 5 s: 20 s",
 }
 LAST = 300  # iterations of controls.txt
-BATCHES = {
-    "1": "parts",
-    "2": "before",
-    "3": "today",
-    "4": "today",
-}  # of ablation.csv.xz -> its table
+# of ablation.csv.xz -> its table
+BATCHES = {"1": "parts", "2": "before", "3": "today", "4": "today"}
 
 
 def main():

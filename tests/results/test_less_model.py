@@ -236,9 +236,7 @@ def test_what_the_page_says_of_as_many_updates_is_so():
     assert {len(table.seeds(job)) for job in many + few} == {5}
     assert {len(table.seeds(job)) for job in tuned} == {10}
     soonest = min(x.min() for x, _ in pairs_of(many, best, "level")) / 1e6
-    assert (
-        f"level after 0.8 M or later. That held: no seed is before {soonest:.2f}, so they" in page
-    )
+    assert f"level after 0.8 M or later. That held: no seed is before {soonest:.2f}. They" in page
     assert soonest > 0.8
     assert {(row["device"], row["commit"]) for job in many + few for row in job} == {
         ("NVIDIA H200", "34c7be27a05b-dirty")
@@ -259,7 +257,7 @@ def test_what_the_page_says_of_as_many_updates_is_so():
     assert f"as many updates on as many real rows need {times} the steps to the level" in front
     assert min(stats.ratio(*pair).low for pair in level + walk) > 1.5
     assert sum(np.isnan(one).sum() for pair in walk for one in pair) == 1  # Go1 of `best`
-    assert f"so they need {times} the steps of `best`" in page
+    assert f"They need {times} the steps of `best`" in page
     assert f"PPO alone needs {times} its steps to the level" in page
 
     def then(jobs):

@@ -514,7 +514,7 @@ def test_the_page_says_how_sac_with_symmetric_networks_is_beside_others():
     assert told.format(*often) in mine
     docs = " ".join((EXPERIMENTS.parent / "docs/results.md").read_text().split())
     told = f"at 38 after {sac.mean():.2f} M steps (three seeds, each the mean of two tries, "
-    told += f"{np.mean(cut):.2f} and {whole.mean():.2f}), PPO "
+    told += f"{np.mean(cut):.2f} and {whole.mean():.2f}), PPO tuned for the level "
     told += "{:.2f} M later ({:.2f} to {:.2f})".format(*gap)
     assert told in docs
 

@@ -70,6 +70,9 @@ def test_what_is_said_of_few_and_crossq_beside_it_is_so():
     many = stats.ratio(level["crossq-256-symmetric"], few_of("default", "default-g")[1].level)
     told = "It needs {:.2f} times the steps of `best` ({:.2f} to {:.2f}), {:.1f} times those of `few` with"
     assert (told + " 256 robots ({:.1f} to {:.1f})").format(*crossq, *many) in TEXT
+    readme = " ".join((EXPERIMENTS.parent / "README.md").read_text().split())
+    told = "{:.2f} times the steps of `best` ({:.2f} to {:.2f}, five seeds), and does not fall then"
+    assert told.format(*crossq) in readme and falls_then(of["crossq-256-symmetric"]) == 0
     sixty = stats.ratio(level["crossq-64-symmetric"], level["few"])
     assert f"and {sixty.value:.1f} times with 64 ([{sixty.low:.1f} to {sixty.high:.1f}]" in TEXT
     walk = [(~np.isnan(few_fresh(letter)[1].walks)).sum() for letter in "gc"]
