@@ -49,6 +49,13 @@ COMMITS = {  # of batches of SECONDS; rows of the first do not have theirs
 }
 CORES = "two CPU cores", "2026-11-26"
 ROBOTS = {"go1": "g", "go2": "h", "anymal_c": "c", "anymal_d": "d"}
+CONTROL = "2026-11-29", "724e00df"
+WALKS = {  # of PPO, tuned to walk
+    "g": ("2026-11-29", "34c7be27"),
+    "h": CONTROL,
+    "c": CONTROL,
+    "d": ("2026-11-28", "503dba45"),
+}
 STARTS = "an H200 and slower hosts", "2026-11-24", "", "experiments/03_speed/kernel.md"
 
 MEASURED = [  # name, value, unit, hardware, date, commit, source
@@ -396,8 +403,7 @@ def measured():
     jobs = table["read"](ROOT / HEADLINE)
     for robot, letter in ROBOTS.items():
         rest = "H200", *FRESH, HEADLINE
-        again = ("2026-11-29", "34c7be27") if letter in "gh" else ("2026-11-28", "503dba45")
-        again = "H200", *again, HEADLINE
+        again = "H200", *WALKS[letter], HEADLINE
         level_of = "H200", "2026-11-28", "71c94de1", HEADLINE
         for run, title in (("best", ""), ("ppo-level", " PPO"), ("ppo-walk", " PPO")):
             job = jobs[f"{run}-{letter}"]

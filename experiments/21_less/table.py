@@ -235,15 +235,19 @@ def at(jobs, millions) -> str:
 
 def beside(jobs) -> str:
     """In Markdown, a line a robot and PPO: how many times the steps of `best` it needs, with Fieller's
-    interval; "at least" where some seeds never get there and count with all steps of their runs. Then what
-    `best` returns more and, in points of per cent, falls more, at 2 M steps and where PPO ends."""
+    interval; "at least" where some seeds never get there and count with the steps of a whole run. Then what
+    `best` returns more and, in points of per cent, falls more, at 2 M steps and where the shortest run of PPO
+    on that robot ends."""
+    runs = ("ppo-task", "ppo", "ppo-level", "ppo-walk")
     head = ["", "to the level", "until it walks", "return at 2 M", "at PPO's end"]
     head, lines = [*head, "p that they are equal", "falls at 2 M", "at PPO's end"], []
-    for letter, name in itertools.product("ghcd", ("ppo-task", "ppo", "ppo-level", "ppo-walk")):
+    for letter, name in itertools.product("ghcd", runs):
         if f"{name}-{letter}" not in jobs:
             continue
+        there = [jobs[f"{run}-{letter}"] for run in runs if f"{run}-{letter}" in jobs]
         mine, ppo = jobs[f"best-{letter}"], jobs[f"{name}-{letter}"]
-        end, margin = seeds(ppo)[0][-1]["sim_steps"], 1.0 if letter in "gh" else 0.7
+        end = min(seeds(job)[0][-1]["sim_steps"] for job in there)
+        margin = 1.0 if letter in "gh" else 0.7
         one, other = (reached(seeds(job), walks.level(best(mine))) for job in (ppo, mine))
         cells = [f"{name}-{letter}", factor(one.level, other.level, end)]
         cells.append(factor(one.walks, other.walks, end))

@@ -132,34 +132,44 @@ def test_the_table_of_ppos_grid_is_that_of_its_runs():
     )
     text = (
         "PPO was chosen in {}: 21 settings in {} on two robots, 12 in {} on two, 14 in {} on four, "
-        "[on each of which it was chosen by itself](#the-grid), and {} in {} [beyond the edges]"
+        "[on each of which it was chosen by itself](#the-grid), {} in {} [beyond the edges]"
+        "(#beyond-the-edges) of these 14, and 2 in {} as [controls of the model]"
+        "(model.md#what-the-model-is-worth), {} of these on fresh seeds."
     )
     beyond = {tuple(sorted(fields.items())) for _, fields in fields_of("ppo_edges.txt").values()}
-    settings = 21 + 12 + 14 + len(beyond)
-    assert text.format(sum(counts), *counts[:3], len(beyond), counts[3]) in page
-    assert f"{settings} settings in {sum(counts)} runs, not " in front
+    settings = 21 + 12 + 14 + len(beyond) + 2
+    again = [f"ppo-208-{x}" if x in "gd" else f"ppo-walk-{x}" for x in "ghcd"]
+    fresh_runs = sum(len(table.seeds(head[name])) for name in again)
+    control = table.read(LESS / "results/ablation.csv.xz", "4")
+    both = [name for name in control if name.startswith("updates-208-")]
+    assert {name.split("-")[2] for name in both} == {"5", "15"}
+    controls = fresh_runs + sum(len(table.seeds(control[name])) for name in both)
+    total = sum(counts) + controls
+    told = text.format(total, *counts[:3], len(beyond), counts[3], controls, fresh_runs)
+    assert told in page
+    assert f"{settings} settings in {total} runs, not " in front
     lead = " ".join((LESS / "ppo.md").read_text().split("\n    python ")[0].split())
     now = [ours_of(f"ppo-walk-{x}") for x in "ghcd"]
     numbers = [f"{x:.2f}" for x in (*means, *(np.nanmean(x.walks) / 1e6 for x in now))]
     told = "**{} settings were tried, in {} runs. On ten fresh seeds the best need {}, {}, {} and {} M steps"
     told += " to the level (Go1, Go2, ANYmal-C, -D), and {}, {}, {} and {} to a walk**"
-    assert told.format(settings, sum(counts), *numbers) in lead
+    assert told.format(settings, total, *numbers) in lead
     assert {len(x.walks) for x in (*ours, *now)} == {10}
-    assert [int(np.isnan(x.walks).sum()) for x in now] == [0, 2, 2, 1]
-    assert "none, two, two and one of ten never do." in lead
+    assert [int(np.isnan(x.walks).sum()) for x in now] == [0, 0, 0, 1]
+    assert "one ANYmal-D of ten never does." in lead
     tuned = {name: chosen_in(name) for name in ("tuning", "falls")}
     text = "`best` was chosen in {} runs on four robots: {} settings in {} (`tuning.csv.xz`;"
-    total = [sum(many) for many in zip(*tuned.values(), strict=True)]
-    assert text.format(total[1], *tuned["tuning"]) in page
+    both = [sum(many) for many in zip(*tuned.values(), strict=True)]
+    assert text.format(both[1], *tuned["tuning"]) in page
     assert "then {} in {} [for fewer falls]".format(*tuned["falls"]) in page
     assert "{} settings in {} runs, after `task.carry_on`".format(*tuned["falls"]) in fewer
-    assert "not {} in {};".format(*total) in front
+    assert "not {} in {};".format(*both) in front
 
 
 def chosen_to_walk(letter):
-    """The job on fresh seeds of the setting that won the walk in the grid; of Go1 and Go2 one beyond it won
+    """The job on fresh seeds of the setting that won the walk in the grid; on all but ANYmal-D another won
     later."""
-    return f"ppo-walk-{'grid-' * (letter in 'gh')}{letter}"
+    return f"ppo-walk-{'grid-' * (letter != 'd')}{letter}"
 
 
 def chosen_in(name):
@@ -179,7 +189,7 @@ def chosen_in(name):
     return len(settings), len({(row["batch"], row["name"], row["seed"]) for row in rows})
 
 
-def test_jobs_of_208_robots_are_the_control_on_seeds_that_nothing_ran_on():
+def test_jobs_of_208_robots_are_the_control_and_ran_where_the_page_says():
     """Of its settings; evaluated about as often as the headline's PPO, on as many episodes."""
     control, later = fields_of("updates.txt"), fields_of("ppo_208.txt")
     assert {name.replace("ppo-208-", "updates-208-5-"): one for name, one in later.items()} == {
@@ -193,7 +203,7 @@ def test_jobs_of_208_robots_are_the_control_on_seeds_that_nothing_ran_on():
             config_lib.override(config, *field.split("=", 1))
         assert not schedule.uses_model(config_lib.validate(config))
         fields = dict(field.split("=", 1) for field in line.split()[1:])
-        walk = dict(field.split("=", 1) for field in head[f"ppo-walk-{name[-1]}"].split()[1:])
+        walk = dict(field.split("=", 1) for field in head[f"ppo-level-{name[-1]}"].split()[1:])
         for key in ("run.num_seeds", "run.eval_envs"):
             assert fields[key] == walk[key]
         every = [
@@ -201,12 +211,66 @@ def test_jobs_of_208_robots_are_the_control_on_seeds_that_nothing_ran_on():
             for x in (fields, walk)
         ]
         assert abs(every[0] / every[1] - 1) < 0.02 and fields["run.seed"] == "1500"
-    used = [
-        line for name in ("headline.txt", "fresh.txt") for line in paper.jobs(LESS / name).values()
-    ]
-    assert not any("run.seed=1500" in line for line in used)
-    text = " ".join((LESS / "ppo.md").read_text().split())
-    assert "**The rule, set on 2026-11-29**: it runs on ten fresh seeds of each robot (1500" in text
+        other = f"ppo-walk-{name[-1]}" if name[-1] in "hc" else name
+        assert head[other] == line  # on Go2 and ANYmal-C it took that place
+    used = [line for line in head.values() if "run.seed=1500" in line]
+    assert sorted(used) == sorted(asked.values())
+    assert not any("run.seed=1500" in x for x in paper.jobs(LESS / "fresh.txt").values())
+
+
+def test_which_walks_the_control_of_208_robots_won_is_by_its_rule():
+    """By the measure of choose.py, beside the PPO that was to walk until then; and what the page says."""
+    choose, (table, jobs) = script("21_less/choose"), less("headline")
+    text = " ".join((LESS / "ppo.md").read_text().split("### Other")[0].split())
+    rule = "**The rule, set on 2026-11-29 before it ran**: it runs on ten fresh seeds of each robot (1500"
+    assert rule in text
+    mine = {x: f"ppo-walk-{x}" if x in "hc" else f"ppo-208-{x}" for x in "ghcd"}
+    before = {
+        "g": "ppo-walk-g",
+        "h": "ppo-walk-edges-h",
+        "c": "ppo-walk-grid-c",
+        "d": "ppo-walk-d",
+    }
+    cost = {x: [choose.cost(jobs[some[x]]) / 1e6 for some in (mine, before)] for x in "ghcd"}
+    assert [new < old for new, old in cost.values()] == [False, True, True, False]
+    told = (
+        "{:.2f} instead of {:.2f} M and {:.2f} instead of {:.2f}, by that measure. On Go1 it needs "
+    )
+    told += "{:.2f}, not {:.2f}, on ANYmal-D, where three of ten never walk, {:.2f}, not {:.2f}, so there"
+    assert told.format(*cost["h"], *cost["c"], *cost["g"], *cost["d"]) in text
+    never = {x: int(np.isnan(ours_of(mine[x]).walks).sum()) for x in "ghcd"}
+    assert never == {"g": 0, "h": 0, "c": 0, "d": 3}
+
+    def whole(name):
+        return np.nan_to_num(ours_of(name).walks, nan=jobs[name][-1]["sim_steps"]) / 1e6
+
+    go2, anymal = (stats.difference(*(whole(s[x]) for s in (mine, before))) for x in "hc")
+    told = f"a Go2 needs {-go2.value:.2f} M fewer than before ({-go2.high:.2f} to {-go2.low:.2f}, "
+    told += "uncorrected), that an ANYmal-C needs fewer is not shown "
+    told += f"({-anymal.value:.2f} fewer; {-anymal.low:.2f} fewer to {anymal.high:.2f} more)"
+    assert told in text
+    control = table.read(LESS / "results/ablation.csv.xz", "4")["updates-208-5-h"]
+    first = table.reached(table.seeds(control), 38).walks
+    assert len(first) == 5 and np.isfinite(first).all()
+    assert f"five of five Go2 walk after {first.mean() / 1e6:.2f} M" in text
+    again = ours_of(mine["h"]).walks
+    told = (
+        f"Ten Go2 walk after {again.mean() / 1e6:.2f} M, those five after {first.mean() / 1e6:.2f} "
+    )
+    assert f"{told}(rank test, p {stats.rank_sum(first, again):.2f})" in text
+    level = ours_of("ppo-level-h").walks
+    assert f"walks as soon on a Go2, after {level.mean() / 1e6:.2f} M" in text
+    assert stats.rank_sum(level, again) > 0.3
+    late = ours_of(mine["c"]).walks == jobs[mine["c"]][-1]["sim_steps"]
+    assert late.sum() == 2 and "Two ANYmal-C walk from their last evaluation on alone." in text
+    steps = {x: ours_of(mine[x]).level / 1e6 for x in "ghcd"}
+    told = "it needs {:.2f}, {:.2f}, {:.2f} and {:.2f} M: no fewer than the PPO tuned for that is shown"
+    assert told.format(*(x.mean() for x in steps.values())) in text
+    for x, some in steps.items():
+        assert stats.rank_sum(some, ours_of(f"ppo-level-{x}").level / 1e6) > 0.05
+    assert {
+        (row["device"], row["commit"], row["batch"]) for name in mine.values() for row in jobs[name]
+    } == {("NVIDIA H200", "724e00dfb7aa", "6")}
 
 
 def won_in_the_grid(head, goal, letter):
@@ -256,6 +320,12 @@ def test_jobs_beyond_the_edges_change_one_thing_of_a_winner():
     assert runs(mine).items() <= runs(theirs).items()
 
 
+def won_to_walk(letter):
+    """The job on fresh seeds of the winner to walk of the grid and beyond its edges."""
+    names = {"g": "ppo-walk-g", "h": "ppo-walk-edges-h"}
+    return names.get(letter, chosen_to_walk(letter))
+
+
 CHANGES = {  # rows of the table beyond the edges -> what is otherwise than in the winner
     "with gamma 0.95": {"ppo.gamma": "0.95"},
     "with gamma 0.96": {"ppo.gamma": "0.96"},
@@ -298,13 +368,13 @@ def test_what_ran_beyond_the_edges_of_the_grid_is_as_its_page_says(tmp_path, mon
                 walks, first = f"{choose.cost(job) / 1e6:.2f}", table.steps_of(found.level)
                 assert cell == f"{walks}; {first}", names
                 if goal == "walk" or label in CHANGES:  # a winner of the level may be bold below
-                    same = known[names[0]] == headline[f"ppo-walk-{letter}"]
+                    same = known[names[0]] == headline[won_to_walk(letter)]
                     assert (f"**{walks}**; {first}" in text) == same, names
     assert {*edges} == {name for name in seen if name.startswith("edge-")}
     # the rule, by the shipped script, on the packed runs
     for flags, name, winners in (
-        (["--level", "--seed", "1500"], "ppo-level", ""),
-        (["--seed", "1400"], "ppo-walk", "gh"),
+        (["--level", "--seed", "1500"], "level", ""),
+        (["--seed", "1400"], "walk", "gh"),
     ):
         fresh = tmp_path / f"{name}.txt"
         words = [str(LESS / "results/ppo.csv.xz"), str(LESS / "ppo_grid.txt"), str(fresh)]
@@ -314,11 +384,11 @@ def test_what_ran_beyond_the_edges_of_the_grid_is_as_its_page_says(tmp_path, mon
         capsys.readouterr()
         chosen = [line.split(" ", 1)[1] for line in fresh.read_text().splitlines()]
         asked = paper.jobs(LESS / "headline.txt")
-        assert chosen == [asked[f"{name}-{letter}"] for letter in winners]
+        assert chosen == [asked[won_to_walk(letter)] for letter in winners]
         for letter in winners:
-            assert {row["job"] for row in head[f"{name}-{letter}"]} == {asked[f"{name}-{letter}"]}
+            assert {row["job"] for row in head[won_to_walk(letter)]} == {asked[won_to_walk(letter)]}
     text = " ".join(text.split())
-    now, before = ([ours_of(f"ppo-walk-{x}{y}") for y in "gh"] for x in ("", "grid-"))
+    now, before = ([ours_of(of(x)) for x in "gh"] for of in (won_to_walk, chosen_to_walk))
     means = [[np.nanmean(one.walks) / 1e6 for one in some] for some in (now, before)]
     never = [[int(np.isnan(one.walks).sum()) for one in some] for some in (now, before)]
     assert never == [[0, 2], [1, 0]]
