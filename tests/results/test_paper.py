@@ -19,7 +19,7 @@ import scipy.stats
 import toy_env
 from result_files import EXPERIMENTS, ROOT, script
 
-from dynappo import algorithm
+from dynappo import algorithm, schedule
 from dynappo import config as config_lib
 from dynappo.learner import networks
 from dynappo.tasks.velocity import env as env_lib
@@ -306,6 +306,271 @@ def test_what_a_cheap_fit_saves_is_said_with_its_epochs():
     assert f"equal to PPO-16 on Go1 (p {p:.3f}, Holm {holm:.3f}). Its seconds" in claim
     config = config_lib.load("configs/go1.py:fast")
     assert config.model.late_epochs == 5 and row["impl"] == "warp"
+
+
+def fast_jobs():
+    """`(engine, method) -> column -> [S, E]` of 13_step_time's seconds to a return."""
+    found = {}
+    for path in (EXPERIMENTS / "13_step_time/results/fast").glob("*.csv"):
+        with path.open(newline="") as file:
+            rows = list(csv.DictReader(file))
+        assert {row["device"] for row in rows} == {"NVIDIA H200"}
+        assert {row["commit"] for row in rows} == {"724e00dfb7aa"}
+        names = "seed iteration sim_steps seconds return fall_rate row_ms tail_ms fit_ms ppo_ms"
+        columns = {n: [float(row[n] or "nan") for row in rows] for n in names.split()}
+        columns = {n: np.reshape(values, (5, 20)) for n, values in columns.items()}
+        assert (columns["seed"] == np.arange(1100, 1105)[:, None]).all()
+        assert (columns["iteration"] == np.arange(20, 401, 20)).all()
+        found[tuple(path.stem.split(".")[1:])] = columns
+    assert len(found) == 5
+    return found
+
+
+def first_of(job, name, true):
+    """What `name` is at a seed's first True of `[S, E]`; NaN without one."""
+    at = job[name][np.arange(len(true)), true.argmax(1)]
+    return np.where(true.any(1), at, np.nan)
+
+
+def milliseconds(job, first=0):
+    """Of an iteration after `first`, `[S]`."""
+    begin = job["seconds"][:, first // 20 - 1] if first else 0
+    return 1e3 * (job["seconds"][:, -1] - begin) / (400 - first)
+
+
+def t_half(values):
+    values = np.asarray(values)[np.isfinite(values)]
+    return scipy.stats.t.ppf(0.975, len(values) - 1) * scipy.stats.sem(values)
+
+
+@pytest.fixture(scope="module")
+def fast_page():
+    return (EXPERIMENTS / "13_step_time/README.md").read_text()
+
+
+@pytest.fixture
+def fast_level():
+    """`(engine, method) -> name -> [S]` at the first return of 38."""
+    names = "iteration sim_steps seconds".split()
+    return {
+        key: {name: first_of(job, name, job["return"] >= 38) for name in names}
+        for key, job in fast_jobs().items()
+    }
+
+
+def test_seconds_of_fast_to_a_return_are_those_of_its_runs(fast_page, fast_level):
+    """Its three tables are what fast.py prints, and what NumPy makes of the runs."""
+    table = script("13_step_time/fast")
+    found = table.read(EXPERIMENTS / "13_step_time/results/fast")
+    printed = [table.table(found), table.compared(found), table.phases(found)]
+    assert all(f"\n\n{one}\n\n" in fast_page for one in printed)
+    engines = {"kernel": "our kernel", "warp": "MuJoCo Warp"}
+    reals = {"ppo16": 16, "fast": 12, "dyna4": 12}
+    lines = []
+    for (engine, method), job in fast_jobs().items():
+        begin, level = f"| {engines[engine]} | `{method}` | ", fast_level[engine, method]
+        falls = (job["return"] >= 38) & (job["fall_rate"] <= 0.01 + 1e-6)
+        kept = np.logical_and.accumulate(falls[:, ::-1], 1)[:, ::-1]
+        walks = first_of(job, "seconds", kept)
+        assert np.isfinite(level["seconds"]).all()
+        wanted = [(milliseconds(job), 1), (milliseconds(job, 100), 1), "5 of 5"]
+        wanted += [(level["iteration"], 0), (level["sim_steps"] / 1e6, 1), (level["seconds"], 2)]
+        some = int(np.isfinite(walks).sum())
+        wanted += ["5" if some == 5 else f"{some} of 5", (walks, 2)]
+        cells = [
+            one if isinstance(one, str) else "{:.{d}f} ± {:.{d}f}".format(*one[0], d=one[1])
+            for one in (
+                x if isinstance(x, str) else ((np.nanmean(x[0]), t_half(x[0])), x[1])
+                for x in wanted
+            )
+        ]
+        lines.append(begin + " | ".join(cells) + " |")
+        row, tail, fit, ppo = (
+            float(np.nan_to_num(job[f"{name}_ms"][0, 0])) for name in "row tail fit ppo".split()
+        )
+        parts = [reals[method] * row, (16 - reals[method]) * tail, fit, ppo]
+        cells = [f"{x:.2f}" if x else "" for x in parts]
+        cells += [f"{sum(parts):.2f}", f"{milliseconds(job, 100).mean():.2f}"]
+        lines.append(begin + " | ".join(cells) + " |")
+        if method != "ppo16":
+            base = fast_level[engine, "ppo16"]
+            ratios = [stats.ratio(level[n], base[n]) for n in ("seconds", "iteration", "sim_steps")]
+            logs = np.log(level["seconds"] / base["seconds"])
+            half = t_half(logs)
+            ratios.append(np.exp(logs.mean() + np.array([0, -half, half])))
+            cells = ["{:.2f} ({:.2f} to {:.2f})".format(*one) for one in ratios]
+            lines.append(begin + " | ".join(cells) + " |")
+    assert len(lines) == 13 and all(line in fast_page.splitlines() for line in lines)
+
+
+def test_what_the_page_says_of_fast_in_seconds_is_so(fast_page, fast_level):
+    """Which expectation failed; why, by phases and first fits; that equal seeds are alike; the verdict."""
+    jobs, page = fast_jobs(), " ".join(fast_page.split())
+    section = page.partition("## `fast` in seconds to a return")[2]
+    claim = row_on((EXPERIMENTS / "paper/README.md").read_text(), "less time")
+    names = ("seconds", "iteration", "sim_steps")
+    ratios = {
+        (engine, method): [
+            stats.ratio(level[name], fast_level[engine, "ppo16"][name]) for name in names
+        ]
+        for (engine, method), level in fast_level.items()
+        if method != "ppo16"
+    }
+    ours, tail, warp = (
+        ratios[key][0] for key in (("kernel", "fast"), ("kernel", "dyna4"), ("warp", "fast"))
+    )
+    assert ours.low > 1 and warp.low < 0.85 < 1 < warp.high and tail.low > 3
+    assert all(one.low < 1 < one.high for some in ratios.values() for one in some[1:])
+    text = "takes {:.2f} times as long as PPO-16 until a Go1 is first at 38 ({:.2f} to {:.2f}), "
+    text += "`dyna4` {:.1f} times ({:.1f} to {:.1f}). With MuJoCo Warp's own step no difference is shown "
+    assert text.format(*ours, *tail) + "({:.2f}, {:.2f} to {:.2f})".format(*warp) in section
+    text = "takes [{:.2f} times the seconds of PPO-16](#fast-in-seconds-to-a-return) ({:.2f} to {:.2f};"
+    assert text.format(*ours) in page
+    assert "no difference is shown ({:.2f}, {:.2f} to {:.2f}).**".format(*warp) in page
+    text = "**wrong**, `fast` is slower. 0.85 times the seconds of PPO-16 by MuJoCo Warp, "
+    text += "which five seeds may "
+    text += f"not show: it is {warp.value:.2f}, and they do not. Of `dyna4` three times as "
+    text += "many: **wrong**, it is "
+    assert f"{text}{tail.value:.1f}." in section
+    text = (
+        "38 are {:.2f} times PPO-16's by our kernel ({:.2f} to {:.2f}; `dyna4` in float32 {:.2f}, "
+    )
+    text += "{:.2f} to {:.2f}), by MuJoCo Warp {:.2f} ({:.2f} to {:.2f}; H200, five fresh seeds)"
+    assert text.format(*ours, *tail, *warp) in claim
+
+    # an iteration
+    clock = {key: milliseconds(job) for key, job in jobs.items()}
+    late = {key: milliseconds(job, 100) for key, job in jobs.items()}
+    shorter = [
+        100 * (1 - took["warp", "fast"].mean() / took["warp", "ppo16"].mean())
+        for took in (clock, late)
+    ]
+    each = 100 * (1 - clock["warp", "fast"] / clock["warp", "ppo16"])
+    text = f"{shorter[0]:.1f} % shorter in the mean of all 400 (single seeds {each.min():.1f} "
+    text += f"to {each.max():.1f}), "
+    assert f"{text}and {shorter[1]:.1f} % after the 100th" in page
+    text = "{:.1f} % shorter in the mean of 400, {:.1f} % after the 100th"
+    assert text.format(*shorter) in claim
+    part = {
+        key: {n: float(np.nan_to_num(job[f"{n}_ms"][0, 0])) for n in "row tail fit ppo".split()}
+        for key, job in jobs.items()
+    }
+    fast, ppo = part["kernel", "fast"], part["kernel", "ppo16"]
+    more = (late["kernel", "fast"] - late["kernel", "ppo16"]).mean()
+    rows = 16 * ppo["row"] - 12 * fast["row"]
+    update = fast["ppo"] - ppo["ppo"]
+    explained = fast["fit"] + update + 4 * fast["tail"] - rows
+    text = f"takes {more:.2f} ms longer than PPO-16's. By the phases it is {explained:.2f}: "
+    text += f"the fit {fast['fit']:.2f}, "
+    text += f"an update {update:.2f} more (why was not measured), the tail "
+    text += f"{4 * fast['tail']:.2f}, less {rows:.2f} "
+    text += (
+        f"of real rows, now 12 instead of 16. The other {more - explained:.2f} they do not explain"
+    )
+    assert text in section
+    sums = 16 * ppo["row"] + ppo["ppo"], sum(fast.values()) + 11 * fast["row"] + 3 * fast["tail"]
+    text = f"PPO-16 sum to {sums[0] - late['kernel', 'ppo16'].mean():.2f} more than its "
+    text += "clock, those of `fast` to "
+    assert f"{text}{late['kernel', 'fast'].mean() - sums[1]:.2f} less" in section
+    text = f"took {ppo['row']:.2f} ms in PPO-16's job and {fast['row']:.2f} in the other; "
+    text += f"at {fast['row']:.2f}, four "
+    assert f"{text}save {4 * fast['row']:.2f}." in section
+
+    # the fit: dyna4's in TF32, and fast's first
+    columns = schedule.columns(config_lib.load("configs/go1.py:dyna4"))
+    real = columns["n_real"][:400].astype(int)
+    fits = np.ceil(25 * real / 8) / np.ceil(25 * 12 / 8)
+    then = paper.pick(
+        paper.rows(EXPERIMENTS / "13_step_time/results.csv"), simulator="kernel", variant="dyna4"
+    )["fit_mean"]
+    fit = part["kernel", "dyna4"]["fit"]
+    less, level = (fit - then) * fits, fast_level["kernel", "dyna4"]
+    seconds = np.array(
+        [
+            s - less[: int(i)].sum() / 1e3
+            for s, i in zip(level["seconds"], level["iteration"], strict=True)
+        ]
+    )
+    mean = clock["kernel", "dyna4"].mean()
+    times = stats.ratio(seconds, fast_level["kernel", "ppo16"]["seconds"])
+    assert f"had the fit of {then:.1f} ms above, which is in TF32" in section
+    text = f"its fit takes {fit:.1f} ms. Computed, with {then:.1f} ms (measured on an H100) "
+    text += "an iteration would take "
+    text += f"{mean - less.mean():.1f} instead of {mean:.1f} and the level {seconds.mean():.2f} s, "
+    assert text + "{:.1f} times PPO-16's ({:.1f} to {:.1f}).".format(*times) in section
+    assert paper.TAILS == ("model.precision=tf32",)
+    assert config_lib.load("configs/go1.py:dyna4").model.precision == "highest"
+    table = script("13_step_time/fast")
+    told = table.tf32(table.read(EXPERIMENTS / "13_step_time/results/fast"))
+    assert f"{mean - less.mean():.1f} ms an iteration, {seconds.mean():.2f} ± " in told
+    model = config_lib.load("configs/go1.py:fast").model
+    text = f"Until iteration {model.late_from} `fast` fits {model.epochs} epochs, on up to {real.max()} real"
+    assert f"{text} rows: its first 100 iterations" in section
+    text = f"{model.late_epochs} epochs from iteration {model.late_from} on, {model.epochs} before)"
+    assert f"the runs of 2026-11-29 (PPO in float32, {text}" in page
+    first = {
+        engine: jobs[engine, "fast"]["seconds"][:, 4].mean() - late[engine, "fast"].mean() / 10
+        for engine in ("kernel", "warp")
+    }
+    whole = {engine: fast_level[engine, "fast"]["seconds"].mean() for engine in first}
+    text = f"take {first['kernel']:.2f} s longer than 100 later ones, of {whole['kernel']:.2f} in all. "
+    text += f"With MuJoCo Warp it is {first['warp']:.2f} of {whole['warp']:.2f}; "
+    one = part["warp", "fast"]
+    still = (real[:100] - 12).sum() * (one["row"] - one["tail"]) / 1e3
+    assert f"{text}{still:.2f} of it, by the phases," in section
+
+    # seeds
+    slow = [took[:2] / took[2:].mean() - 1 for (e, _), took in clock.items() if e == "warp"]
+    text = f"took {100 * np.min(slow):.0f} to {100 * np.max(slow):.0f} % longer an iteration"
+    assert text in section
+    every = [level["seconds"] for level in fast_level.values()]
+    assert "1100 is the slowest and 1104 the fastest in all five jobs" in section
+    assert "One H200 with nothing else on it, 2026-11-29, commit 724e00df" in section
+    assert all(np.argmax(x) == 0 and np.argmin(x) == 4 for x in every)
+    r = np.corrcoef([level["iteration"] for level in fast_level.values()])
+    r = r[np.triu_indices(5, 1)]
+    assert f"correlate by {r.min():.2f} to {r.max():.2f}." in section
+    pairs = {}
+    for key in ratios:
+        for name in names:
+            logs = np.log(fast_level[key][name] / fast_level[key[0], "ppo16"][name])
+            pairs[key, name] = np.exp(logs.mean() + t_half(logs) * np.array([0, -1, 1]))
+    text = "the seconds are {:.2f} ({:.2f} to {:.2f}) and {:.2f} ({:.2f} to {:.2f}) times "
+    text += "PPO-16's with our kernel, "
+    text += "and {:.2f} ({:.2f} to {:.2f}) with MuJoCo Warp"
+    told = [
+        x
+        for key in (("kernel", "fast"), ("kernel", "dyna4"), ("warp", "fast"))
+        for x in pairs[key, "seconds"]
+    ]
+    assert text.format(*told) in section
+    beside = [x for (_, name), x in pairs.items() if name != "seconds"]
+    assert len(beside) == 6 and sum(not x[1] < 1 < x[2] for x in beside) == 2
+    assert "two of the six ratios of iterations and steps just exclude 1" in section
+
+
+def test_a_seed_of_fast_that_is_never_at_the_level_counts_with_its_whole_run():
+    """Two seeds of three evaluations, by hand; and with a fit that takes less from the first iteration on."""
+    table = script("13_step_time/fast")
+    rows = []
+    for seed, returns in (("1", [10, 37, 39]), ("2", [10, 20, 37])):
+        for k, number in enumerate(returns, 1):
+            row = {"seed": seed, "job": "go1:dyna4", "iteration": 100 * k, "sim_steps": 1000 * k}
+            row |= {"seconds": 2.0 * k + (k > 1), "return": number, "fall_rate": 0.001}
+            row |= {"tracking_error": 0.1, "yaw_error": 0.1, "row_ms": 1, "tail_ms": 0.5}
+            rows.append({n: str(x) for n, x in (row | {"fit_ms": 10, "ppo_ms": ""}).items()})
+    one = table.timed(rows)
+    np.testing.assert_array_equal(one.level, [[300, 3000, 7]] * 2)
+    np.testing.assert_array_equal(one.there, [True, False])
+    np.testing.assert_array_equal(one.walks, [[300, 3000, 7], [np.nan] * 3])
+    np.testing.assert_allclose(table.ms(one), 7000 / 300)
+    np.testing.assert_allclose(table.ms(one, 100), 5000 / 200)
+    line = table.table({("kernel", "dyna4"): one}).splitlines()[-1]
+    assert "| 1 of 2 | 300 ± 0 |" in line
+    seconds, mean = table.cheaper(one, config_lib.load("configs/go1.py:dyna4"), 9.0)
+    # 38 minibatches in the end; 50 to 41 during the ramp of 100 iterations
+    assert all(7 - 0.4 < x < 7 - 0.3 for x in seconds)
+    np.testing.assert_allclose(mean, 7000 / 300 - (7 - seconds[0]) * 1e3 / 500, rtol=0.02)
 
 
 @pytest.mark.parametrize("name", ["11_model", "12_platforms", "13_step_time", "16_gaits"])
