@@ -46,6 +46,7 @@ COMMITS = {  # of batches of SECONDS; rows of the first do not have theirs
     "H200, 2026-11-28, seventh host": "71c94de1",
     "H200, 2026-11-28, eighth host": "d4ea24ce",
     "H200, 2026-11-29": "94da69b8",
+    "H200, 2026-11-29, second host": "724e00df",
 }
 CORES = "two CPU cores", "2026-11-26"
 ROBOTS = {"go1": "g", "go2": "h", "anymal_c": "c", "anymal_d": "d"}

@@ -251,8 +251,9 @@ def steps(run: Run) -> np.ndarray:
 
 
 def settings(found: list[Run], place: str) -> tuple[Run, list[Run]] | None:
-    """`(best, PPO's)` of the last day on which `best` has five seeds, else of that with most, and of that
-    day's host with most settings of PPO; of runs of `best` all of whose seeds get to the level, and of PPO
+    """`(best, PPO's)` of the last day on which `best` has five seeds, and beside it a setting of PPO, all of
+    whose seeds get to the level; else of the last on which `best` has, else of that with most, and of that
+    day's host with most settings of PPO. Of runs of `best` all of whose seeds get to the level, and of PPO
     more than half. None where one of the two has not been run, or no setting of PPO always gets there."""
     here = [run for run in found if run.place == place]
     mine = [run for run in here if run.method == "best" and there(run) == 1]
@@ -261,8 +262,9 @@ def settings(found: list[Run], place: str) -> tuple[Run, list[Run]] | None:
 
     def worth(pair):
         best, ppos = pair
+        often = any(there(ppo) == 1 and len(ppo.level) >= OFTEN for ppo in ppos)
         own = [ppo for ppo in ppos if ppo.batch == best.batch]
-        return min(len(best.level), OFTEN), day(best)[1], len(own)
+        return min(len(best.level), OFTEN), often, day(best)[1], len(own)
 
     return max(both, key=worth, default=None)
 
@@ -427,10 +429,10 @@ def compared(found: list[Run]) -> str:
 
 
 def for_seconds(found: list[Run], quick: Run, ppos: list[Run]) -> str:
-    """Where a setting of `best` for seconds and PPO break even: PPO of the setting's own host where it has
-    run there, else `ppos`, with the setting's rows at their cost."""
+    """Where a setting of `best` for seconds and PPO break even: those settings of PPO that ran on its own
+    host with as many seeds as an interval needs, else `ppos`, with the setting's rows at their cost."""
     own = [run for run in found if run[:2] == quick[:2] and run.method.startswith("ppo")]
-    ppos = own or ppos
+    ppos = [run for run in own if len(run.level) >= OFTEN] or ppos
     ms = cost(found, ppos[0])
     return f"; for seconds {even(at_cost(found, quick, ms), ppos, ms)}"
 

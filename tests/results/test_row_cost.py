@@ -27,7 +27,7 @@ def test_the_pages_of_seconds_have_the_tables_of_their_runs(monkeypatch, capsys)
     ):
         page = (EXPERIMENTS / ROW_COST / f"{name}.md").read_text().splitlines()
         rows = [line for line in printed.splitlines() if line.startswith(places)]
-        assert len(rows) >= (87 if name == "runs" else 9)
+        assert len(rows) >= (95 if name == "runs" else 9)
         assert rows == [line for line in page if line.startswith(places)]
 
 
@@ -676,7 +676,7 @@ def test_what_the_pages_of_seconds_say_of_a_g1_with_settings_for_seconds_is_so()
         "by the {:.1f} of `best-kl4e3` {:.0f} of its 27 are at the level, too, and {:.0f} walk if"
     )
     assert text.format(least, *np.sum(soon, 0)) in runs
-    text = f"of a G1 {all_ours[0].mean():.2f}, 3.65 and {all_theirs[0].mean():.2f} on several"
+    text = f"of a G1 {all_ours[0].mean():.2f}, 3.65 and PPO {all_theirs[0].mean():.2f} on several hosts"
     assert text in pages[f"{ROW_COST}/README"]
 
 
@@ -1171,16 +1171,18 @@ def test_where_no_go1_ran_and_what_was_not_tuned_is_as_the_pages_of_seconds_say(
         assert max(ran) == most == table.fastest_beside(mine, its).robots
         # with MJX-JAX 1024 robots, on another host, take as long
         assert table.fastest(its).robots == (1024 if place == "go1.jax" else most)
-        if place not in ("go1.laptop", "go2.rough"):
+        if place not in ("go1.laptop", "go2.rough", "go1.warp"):
             assert not any(
                 x.place == place and x.method.startswith(("best-", "tune-")) for x in found
             )
     assert not any(x.place == "g1.warp" and x.method.startswith("best-") for x in found)
     text = "2048 are the most that ran on a Go1 and an ANYmal-C, and the fastest (with MJX-JAX as fast as"
     assert f"{text} 1024), on two cores 512; on rough ground 4096 are the most." in pages["README"]
-    text = "and `best` with MuJoCo Warp, MJX-JAX and in the exact tasks."
+    text = "and `best` with MJX-JAX and in the exact tasks. With MuJoCo Warp two settings ran,"
     assert text in pages["README"]
-    assert "**With MuJoCo Warp, MJX-JAX and in the exact tasks** no setting" in pages["settings"]
+    assert "With MJX-JAX and in the exact tasks no setting was tried" in pages["settings"]
+    mine = [x.method for x in found if x.place == "go1.warp" and x.method.startswith("best-")]
+    assert mine == ["best-n2048", "best-r2n2048"]
     # PPO with 4096 robots
     run, day = {one[:3]: one for one in found}, "H200, 2026-11-27"
     power = table.POWERS["a GPU"]
@@ -1214,6 +1216,335 @@ def test_where_no_go1_ran_and_what_was_not_tuned_is_as_the_pages_of_seconds_say(
     assert "ppo4096" in [x.method for x in ppos]  # "count PPO with 4096 robots, too"
     slowest = run["anymal_c.exact", "H200, 2026-11-28", "ppo2048"].level[:, 0].max()
     assert f"with 2048 robots is at the level at iteration {slowest:.0f}" in pages["next"]
+
+
+def flat(name):
+    return " ".join((EXPERIMENTS / ROW_COST / f"{name}.md").read_text().split())
+
+
+def test_the_grid_of_rounds_and_robots_of_a_go1_is_as_the_page_of_settings_says():
+    """`best` with our kernel on tuning seeds, on three hosts; two rounds with 4096 robots beside 2048, and
+    beside PPO of two other hosts."""
+    table = script(f"{ROW_COST}/table")
+    run = {one[1:3]: one for one in table.runs() if one.place == "go1.kernel"}
+    text, page = flat("settings"), (EXPERIMENTS / ROW_COST / "settings.md").read_text()
+    first, last = "H200, 2026-11-27", "H200, 2026-11-29, second host"
+    batches = {"A": first, "B": f"{first}, second host", "C": last}
+    hosts = (
+        "Host A is the first of 2026-11-27, B the second of that day, C the second of 2026-11-29."
+    )
+    assert hosts in text
+    where = {"A": ("r1", "r2", "r1n2048", "r2n2048"), "B": ("n512", "n2048")}
+    where["C"] = ("r1n512", "r2n512", "r1n4096", "r2n4096")
+    lines, level = [], {}
+    for host, names in where.items():
+        for name in names:
+            one = run[batches[host], f"tune-{name}"]
+            rounds = {"r1": "one", "r2": "two"}.get(name[:2], "three")
+            assert len(one.level) == 3 and (f"n{one.robots}" in name or one.robots == 1024)
+            cells = [table.interval(x) for x in (one.level[:, 2], one.walks[:, 2])]
+            if name == "r1n512":
+                assert [np.isfinite(x[:, 2]).sum() for x in (one.level, one.walks)] == [2, 2]
+                cells = [f"{cells[0]} (one of three never)", f"{cells[1]} (two of three)"]
+            else:
+                assert np.isfinite(one.level).all() and np.isfinite(one.walks).all()
+            steps = table.interval(one.level[:, 1] / 1e6)
+            lines.append(
+                f"| {rounds} | {one.robots} | {host} | {cells[0]} | {cells[1]} | {steps} |"
+            )
+            level[name] = np.nanmean(one.level[:, 2])
+    order = {"one": 1, "two": 2, "three": 3}
+    lines.sort(key=lambda x: (order[x.split()[1]], int(x.split()[3])))
+    assert "\n".join(lines) in page
+    tuned = [one for key, one in run.items() if key[1].startswith("tune-")]
+    assert (
+        len(tuned) == len(lines) == 10
+    )  # "three rounds with 1024 robots ... with 4096 they have not run"
+    few = [level[name] for name in level if name.endswith("n512")]
+    more = [level[name] for name in level if not name.endswith("n512")]
+    many, half = run[last, "tune-r2n4096"], run[first, "tune-r2n2048"]
+    small = run[last, "tune-r2n512"]
+    slow, fast = (
+        stats.difference(many.level[:, 2], run[batches[x], "ppo2048"].level[:, 2]) for x in "BA"
+    )
+    its = stats.difference(many.walks[:, 2], half.walks[:, 2])
+    longer = stats.difference(small.level[:, 2], many.level[:, 2])
+    level_gap = stats.difference(many.level[:, 2], half.level[:, 2])
+    ppo = [run[batches[x], "ppo2048"].level[:, 2].mean() for x in "BA"]
+    every = 10 * (many.level[:, 2] / many.level[:, 0]).mean()
+    assert {*many.level[:, 0]} == {40} and its.low < 0 < its.high and level_gap.low < 0
+    for words in (
+        f"the means are {min(more):.2f} to {max(more):.2f} s to the level, with 512 {min(few):.2f} to"
+        f" {max(few):.2f}.",
+        f"With two rounds 512 take {longer.value:.2f} s longer than 4096 ({longer.low:.2f} to"
+        f" {longer.high:.2f}, host C).",
+        f"**Two rounds with 4096 robots** take {level['r2n4096']:.2f} s, with 2048 {level['r2n2048']:.2f} on"
+        f" host A. No difference is shown ({level_gap.value:.2f} s more, {level_gap.low:.2f} to"
+        f" {level_gap.high:.2f})",
+        "for {}".format(
+            around(stats.ratio(many.level[:, 1], half.level[:, 1]), 1, " times the steps")
+        ),
+        f"they take {many.walks[:, 2].mean():.2f} s, not {half.walks[:, 2].mean():.2f}, which shows none"
+        f" either ({-its.value:.2f} less, {-its.high:.2f} to {-its.low:.2f})",
+        f"at iteration 40, and an evaluation came every {every:.2f} s, which the ±"
+        f" {stats.half_of(stats.moments(many.level[:, 2])):.2f} does not count",
+        f"takes {ppo[0]:.2f} s to the level on host B and {ppo[1]:.2f} on host A (five fresh seeds):"
+        f" {slow.value:.2f} s less than these {level['r2n4096']:.2f} ({slow.low:.2f} to {slow.high:.2f}), and"
+        f" {fast.value:.2f} ({fast.low:.2f} to {fast.high:.2f}). It did not run on host C.",
+    ):
+        assert words in text, words
+    assert not any(key[0] == last and key[1].startswith("ppo") for key in run)
+    assert not any("4096" in key[1] and key[1].startswith("best-") for key in run)
+    assert (min(more), min(x.walks[:, 2].mean() for x in tuned if x.robots > 512)) == (
+        level["r2n2048"],
+        many.walks[:, 2].mean(),
+    )
+    (never,) = [
+        row
+        for row in table.read()
+        if (row["batch"], row["name"], row["seed"], row["iteration"])
+        == (last, "go1.kernel.tune-r1n512", "2", "300")
+    ]
+    last_return, falls = float(never["return"]), 100 * float(never["fall_rate"])
+    words = f"by iteration 300: {last_return:.1f}, with falls in {falls:.1f} %."
+    assert words in flat("runs")
+    rows = {
+        n: sorted({x.row for x in tuned if x.batch == last and x.robots == n}) for n in (512, 4096)
+    }
+    found = table.runs()
+    for place, words in (
+        ("go1.kernel", "- **Break-even** would be at {} (host B, two rounds and 2048 robots)."),
+        ("g1.kernel", "- **Break-even** on a G1 would be at {}, which is what its row costs."),
+    ):
+        best, ppos = table.settings(found, place)
+        even = table.for_seconds(found, table.fastest(table.variants(found, best)), ppos)
+        at, _, spread = even.removeprefix("; for seconds ").partition(" ")
+        assert words.format(f"{float(at):.2f} ms {spread}") in text
+    words = "took {:.2f} ms with 512 robots and {:.2f} to {:.2f} with 4096."
+    assert words.format(rows[512][0], *rows[4096]) in flat("runs")
+    assert f"the {table.cost(table.runs(), many):.3f} ms of the table" in flat("runs")
+
+
+def test_settings_for_seconds_with_mujoco_warp_are_as_the_pages_say():
+    """Two settings with 2048 robots beside `best` on one host, PPO of two hosts; which day README.md has."""
+    table = script(f"{ROW_COST}/table")
+    found = table.runs()
+    run = {one[1:3]: one for one in found if one.place == "go1.warp"}
+    first, host = "H200, 2026-11-27", "H200, 2026-11-29, second host"
+    best, three, two, cut = (
+        run[host, x] for x in ("best", "best-n2048", "best-r2n2048", "ppo2048")
+    )
+    before, ppo = run[first, "best"], run[first, "ppo2048"]
+    assert [len(x.level) for x in (best, three, two, cut, before, ppo)] == [5, 5, 5, 2, 5, 5]
+    settings, page = flat("settings"), (EXPERIMENTS / ROW_COST / "settings.md").read_text()
+    lines = []
+    for label, one in (
+        ("three rounds, 2048 robots", three),
+        ("two rounds, 2048 robots", two),
+        ("`best`: three rounds, 1024 robots", best),
+        ("PPO, 2048 robots (two seeds)", cut),
+    ):
+        assert np.isfinite(one.walks).all()
+        cells = [
+            part
+            for some in (one.level, one.walks)
+            for part in (table.interval(some[:, 2]), f"{some[:, 1].mean() / 1e6:.2f}")
+        ]
+        lines.append(f"| {label} | " + " | ".join(cells) + " |")
+    assert "\n".join(lines) in page
+
+    def gap(one, other, goal="level"):
+        return stats.difference(*(getattr(x, goal)[:, 2] for x in (one, other)))
+
+    def times(one, other, column=2):
+        return stats.ratio(one.level[:, column], other.level[:, column])
+
+    def p(one, other, goal="level"):
+        return stats.welch_of(*(getattr(x, goal)[:, 2] for x in (one, other)))
+
+    def span(one, digits=2):
+        return "({:.{d}f} to {:.{d}f})".format(*one[1:], d=digits)
+
+    sooner = [gap(best, x) for x in (three, two)]
+    walk = [gap(best, x, "walks") for x in (three, two)]
+    values = [p(best, x) for x in (three, two)]
+    holm = 2 * min(values)
+    assert values[0] < 0.05 < holm and max(values) > 0.05 and sooner[0].low > 0 > sooner[1].low
+    assert all(one.low < 0 < one.high for one in walk)
+    both = before._replace(level=np.concatenate([best.level, before.level]))
+    ten = [gap(both, x) for x in (three, two)]
+    every = [10 * (x.level[:, 2] / x.level[:, 0]).mean() for x in (three, two, best)]
+    assert f"{every[1]:.2f}" == f"{every[2]:.2f}"
+    rows = [(x.level[:, 1] / x.robots).mean() for x in (three, two, best)]
+    longer = [times(ppo, x) for x in (three, two, best)]
+    more = times(ppo, three, 1)
+    for words in (
+        f"{sooner[0].value:.2f} s before `best` {span(sooner[0])[:-1]}, Welch's p {values[0]:.3f}):"
+        f" {around(times(three, best), 2, ' times the seconds')}, for"
+        f" {around(times(three, best, 1), 1, ' times the steps')}.",
+        f"for the two settings p is {holm:.3f}, so that they are faster is not shown.",
+        f"{sooner[1].value:.2f} s before `best` {span(sooner[1])[:-1]}, p {values[1]:.2f}):"
+        f" {around(times(two, best), 2, ' times the seconds')}, for"
+        f" {around(times(two, best, 1), 1, ' times the steps')}.",
+        f"Three rounds are {around(gap(two, three), 2, ' s before two')}.",
+        f"{ten[0].value:.2f} s sooner {span(ten[0])[:-1]}, p {p(both, three):.3f}) and two {ten[1].value:.2f}"
+        f" {span(ten[1])[:-1]}, p {p(both, two):.3f})",
+        f"on the first host of 2026-11-27, {both.level[:, 2].mean():.2f} s, three rounds",
+        f"{walk[0].value:.1f} s before `best` {span(walk[0], 1)[:-1]}, p {p(best, three, 'walks'):.2f}) with"
+        f" three rounds and {walk[1].value:.1f} {span(walk[1], 1)[:-1]}, p {p(best, two, 'walks'):.2f}) with"
+        " two.",
+        "three rounds need {:.0f} of 2048 robots, two {:.0f}, and `best` {:.0f} of 1024.".format(
+            *rows
+        ),
+        f"takes {ppo.level[:, 2].mean():.2f} s on the first host of 2026-11-27 (five seeds):"
+        f" {longer[0].value:.1f} times as long as three rounds with 2048 robots {span(longer[0], 1)}, for"
+        f" {around(more, 1, ' times the steps')}, {longer[1].value:.1f} times as long as two"
+        f" {span(longer[1], 1)} and {longer[2].value:.1f} times as long as `best` here {span(longer[2], 1)}.",
+        f"cut off after two seeds, after {cut.level[:, 2].mean():.2f} s",
+        f"take {every[0]:.2f} s until then with three rounds and 2048 robots, {every[1]:.2f} with two and"
+        " with `best`.",
+        f"a row of 2048 takes {two.row:.1f} ms, one of 1024 {best.row:.1f}.",
+        f"it takes {three.level[:, 2].mean():.2f} s to the level with 2048 robots, not"
+        f" {best.level[:, 2].mean():.2f}; that this is faster is not shown",
+    ):
+        assert words in settings, words
+    assert f"so its {three.level[:, 2].mean():.2f} s are flattered a little." in settings
+    # the table's row keeps the day on which PPO has five seeds; `best` for seconds is beside these
+    chosen, ppos = table.settings(found, "go1.warp")
+    quick = table.fastest(table.variants(found, chosen))
+    assert (chosen, quick) == (before, three) and ppo in ppos and cut not in ppos
+    even = table.for_seconds(found, quick, ppos).removeprefix("; for seconds ")
+    assert (
+        f"Break-even would be at {even.replace(' (', ' ms (')}, beside PPO of 2026-11-27."
+        in settings
+    )
+    readme = flat("README")
+    words = "it takes {:.2f} s on another host, where `best` takes {:.2f}: {:.2f} s less {}, for {:.1f} times"
+    means = [x.level[:, 2].mean() for x in (three, best)]
+    ratio = times(three, best, 1).value
+    assert words.format(*means, sooner[0].value, span(sooner[0]), ratio) in readme
+    for words in (
+        f"with both counted (p {holm:.3f}) a difference is not shown",
+        f"on 2026-11-29 [PPO had two](runs.md#go1), and `best` took {means[1]:.2f} s.",
+        f"of `best` for seconds two of five ({cut.level[:, 2].mean():.1f} s)",
+        "two rounds with 2048 robots {:.2f} s, `best` {:.2f}, PPO {:.2f}; with MuJoCo Warp {:.2f} and"
+        " {:.2f};".format(
+            *(
+                next(x for x in found if x[:3] == key).level[:, 2].mean()
+                for key in (
+                    ("go1.kernel", f"{first}, second host", method)
+                    for method in ("best-r2n2048", "best", "ppo2048")
+                )
+            ),
+            *means,
+        ),
+    ):
+        assert words in readme, words
+    again, walked = gap(before, best), gap(best, before, "walks")
+    runs = flat("runs")
+    for words in (
+        f"**`best` again**: {table.interval(best.level[:, 2])} s to the level here,"
+        f" {table.interval(before.level[:, 2])} on 2026-11-27: {around(again, 2, ' s less')}.",
+        f"{best.walks[:, 2].mean():.2f} and {before.walks[:, 2].mean():.2f} s ({walked.value:.1f} s more,"
+        f" {walked.low:.1f} to {walked.high:.1f})",
+        "They take {:.2f} and {:.2f} s to the level.".format(*cut.level[:, 2]),
+    ):
+        assert words in runs, words
+    kernel = next(x for x in found if x[:3] == ("go1.kernel", first, "best"))
+    at = table.later(kernel, table.cost(found, kernel), best.row, table.power_of("go1.warp"))
+    slow, all_ten = (stats.difference(x.level[:, 2], at) for x in (best, both))
+    text = f"it took {table.interval(best.level[:, 2])} s: {slow.value:.2f} longer than computed"
+    text += f" {span(slow)}, and over all ten runs {all_ten.value:.2f} {span(all_ten)}."
+    assert text in flat("computed")
+    assert f"2048 robots (another host) it would be {even}." in flat("computed")
+
+
+def test_the_first_two_seeds_of_a_process_are_the_slow_ones_with_mujoco_warp():
+    """Whichever they are: `best-n2048` went on in a second process, which timed a row again."""
+    table = script(f"{ROW_COST}/table")
+    jobs = {}
+    for row in table.read():
+        if row["name"].split(".")[1] in ("warp", "exact"):
+            process = row["batch"], row["name"], row["row_ms"]
+            jobs.setdefault(process, {}).setdefault(row["seed"], []).append(row)
+    ms = {
+        key: {
+            seed: 1e3 * float(rows[-1]["seconds"]) / int(rows[-1]["iteration"])
+            for seed, rows in seeds.items()
+        }
+        for key, seeds in jobs.items()
+    }
+    some = {key: [*seeds.values()] for key, seeds in ms.items() if len(seeds) >= 3}
+    assert all(min(each[:2]) > max(each[2:]) for each in some.values())
+    more = {
+        name: [
+            100 * (np.mean(each[:2]) / np.mean(each[2:]) - 1)
+            for key, each in some.items()
+            if name in key[1]
+        ]
+        for name in (".best", ".ppo")
+    }
+    assert len(some) == sum(map(len, more.values()))
+    spans = [f"{min(x):.0f} to {max(x):.0f} %" for x in more.values()]
+    runs = flat("runs")
+    hosts = {7: "seven"}[len({key[0] for key in some})]
+    text = f"in all {len(some)} processes with that step and three seeds or more, on {hosts} hosts:"
+    assert f"{text} with `best` by {spans[0]}, with PPO by {spans[1]}." in runs
+    last = "H200, 2026-11-29, second host"
+    (alone,), again = (
+        seeds
+        for (batch, name, _), seeds in ms.items()
+        if (batch, name) == (last, "go1.warp.best-n2048")
+    )
+    assert alone == "1100" and [*again] == ["1101", "1102", "1103", "1104"]
+    values = [*again.values()]
+    words = "1101 and 1102 are the slow ones ({:.0f} and {:.0f} ms; {:.0f} to {:.0f})"
+    assert words.format(*values[:2], *sorted(values[2:])) in runs
+    (own,) = [seeds for key, seeds in ms.items() if key[:2] == (last, "go1.warp.best")]
+    values = [*own.values()]
+    words = (
+        "1100 and 1101 take {:.0f} and {:.0f} ms an iteration, the other three {:.0f} to {:.0f}."
+    )
+    assert words.format(*values[:2], min(values[2:]), max(values[2:])) in runs
+    (older,) = [x for key, x in jobs.items() if key[:2] == ("H200, 2026-11-27", "go1.warp.best")]
+    tails = []  # ms of iterations 11 to 150
+    for rows in older.values():
+        clock = {row["iteration"]: float(row["seconds"]) for row in rows}
+        tails.append(f"{(clock['150'] - clock['10']) / 0.14:.0f}")
+    words = "1100 and 1101 take {} and {} ms in each of the iterations 11 to 150, the other three {} to {}."
+    assert words.format(*tails[:2], min(tails[2:]), max(tails[2:])) in flat("computed")
+
+
+def test_how_the_second_host_of_2026_11_29_ran_is_as_the_page_of_runs_says():
+    """Which jobs, seeds and commit; that all were evaluated as often."""
+    table, last = script(f"{ROW_COST}/table"), "H200, 2026-11-29, second host"
+    rows = [row for row in table.read() if row["batch"] == last]
+    seeds, ends = {}, {}
+    for row in rows:
+        name = row["name"].removeprefix("go1.")
+        seeds.setdefault(name, {})[int(row["seed"])] = None
+        ends.setdefault(name, set()).add(int(row["iteration"]))
+    few, fresh = [0, 1, 2], [*range(1100, 1105)]
+    assert {name: [*some] for name, some in seeds.items()} == {
+        **{f"kernel.tune-{x}": few for x in ("r1n4096", "r1n512", "r2n4096", "r2n512")},
+        **{f"warp.{x}": fresh for x in ("best", "best-n2048", "best-r2n2048")},
+        "warp.ppo2048": fresh[:2],
+    }
+    assert all(some == {*range(10, max(some) + 1, 10)} for some in ends.values())
+    assert {row["commit"][:8] for row in rows} == {"724e00df"}
+    assert {row["device"] for row in rows} == {"NVIDIA H200"}
+    jobs = (EXPERIMENTS / ROW_COST / "jobs.txt").read_text().splitlines()
+    asked = {f"{row['name']} {row['job']}" for row in rows}
+    assert asked <= {*jobs} and not any("episodes=" in job for job in asked)
+    runs = flat("runs")
+    for words in (
+        "one and two rounds with 512 and 4096 robots (seeds 0 to 2)",
+        "`best` with 2048 robots and three or two rounds (`best-n2048`, `best-r2n2048`), `best`, and PPO with"
+        " 2048 robots (1100 to 1104).",
+        "commit 724e00df. The flags are those of `jobs.txt`; evaluated every 10 iterations on 500 episodes",
+        "**PPO was cut off** after two of five seeds",
+    ):
+        assert words in runs, words
 
 
 def test_the_lead_of_the_page_of_seconds_is_so():
@@ -1307,9 +1638,8 @@ def test_what_ran_next_has_enough_iterations_to_get_to_the_level():
     kernel_walks = max(one.walks[:, 0].max() for one in kernel)
     for place in ("go1.warp", "go1.exact", "anymal_c.exact", "go1.jax"):
         job, half = jobs[f"{place}.ppo4096"], jobs[f"{place}.ppo2048"]
-        (ran,) = [x for x in found if (x.place, x.method) == (place, "ppo2048")]
-        ends = measure.ends(job.config)[-1]
-        assert ends >= max(kernel_walks, ran.level[:, 0].max())
+        ran = [x.level[:, 0].max() for x in found if (x.place, x.method) == (place, "ppo2048")]
+        assert measure.ends(job.config)[-1] >= max(kernel_walks, *ran)
         assert job.config.rollout.num_envs == 4096 and job.seeds == 5
         same = half.text.replace("num_envs=2048", "num_envs=4096").rpartition(" ")[0]
         assert job.text.rpartition(" ")[0] == same and job.episodes == half.episodes
@@ -1350,7 +1680,7 @@ def test_seconds_and_steps_are_drawn_over_the_cost_of_a_row(drawn, monkeypatch):
         "Go1 breaks even:\n0.88 ms (0.59 to 1.3)",
     ]
     marks = [[line.get_marker() for line in axis.lines] for axis in axes]
-    assert [few.count("^") for few in marks] == [3, 3, 0, 0]  # `best` for seconds
+    assert [few.count("^") for few in marks] == [4, 4, 0, 0]  # `best` for seconds
     assert [few.count(plot.NONE["marker"]) for few in marks] == [0, 0, 1, 1]  # no PPO walks
 
 
@@ -1452,6 +1782,21 @@ def test_seconds_where_a_row_costs_more_and_where_two_runs_break_even():
     found = [best, fast, few]
     assert table.settings(found, "go1.kernel") == (best, [fast, few])
     assert table.settings([best], "go1.kernel") is None
+    # the last day on which PPO has five seeds beside it, too, of a setting all of whose seeds get there
+    five, two = np.concatenate([best.level] * 2), fast.level[:2]
+    early, late = (best._replace(batch=f"G, day {k}", level=five, walks=five) for k in (1, 2))
+    whole, cut = (
+        fast._replace(batch=one.batch, level=level, walks=level)
+        for one, level in ((early, np.concatenate([fast.level] * 2)), (late, two))
+    )
+    days = [early, late, whole, cut]
+    assert table.settings(days, "go1.kernel") == (early, [whole])
+    assert table.settings([early, late, cut], "go1.kernel") == (late, [cut])
+    most = cut._replace(level=whole.level, walks=whole.level)
+    assert table.settings([early, late, whole, most], "go1.kernel") == (late, [most])
+    never = whole.level * [[np.nan], [1], [1], [1], [1], [1]]
+    most = cut._replace(method="ppo512", level=never, walks=never)
+    assert table.settings([*days, most], "go1.kernel") == (early, [whole])
     # of a setting of PPO the host with most seeds, of the day of `best` if one has run then
     more = np.concatenate([fast.level, fast.level])
     other = fast._replace(batch="G, day, second host", level=more, walks=more)
@@ -1482,10 +1827,13 @@ def test_seconds_where_a_row_costs_more_and_where_two_runs_break_even():
     first = [best._replace(row=1.0), fast, few]
     there = chosen._replace(batch="G, day, second host", row=2.0)
     assert table.at_cost([*first, there], there, 1.0).level[:, 2].mean() == pytest.approx(1.5)
-    # 1.5 + 0.1 (c - 1) = 1 + 1.16 (c - 1); beside PPO of its own host 1.6 + 0.1 (c - 2) = 1 + 1.16 (c - 2)
+    # 1.5 + 0.1 (c - 1) = 1 + 1.16 (c - 1); beside PPO of its own host 1.6 + 0.1 (c - 2) = 1 + 1.16 (c - 2),
+    # if five seeds of it ran there
     assert "; for seconds 1.5 (" in table.compared([*first, there])
-    beside = fast._replace(batch=there.batch)
+    beside = fast._replace(batch=there.batch, level=five, walks=five)
     assert "; for seconds 2.6 (" in table.compared([*first, there, beside])
+    cut = beside._replace(level=five[:2], walks=five[:2])
+    assert "; for seconds 1.5 (" in table.compared([*first, there, cut])
     assert "; for seconds" not in table.compared(first)
     # no difference is shown at any cost
     alike = run("ppo1024", 1024, 100, 2.01)
