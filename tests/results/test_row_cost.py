@@ -1154,7 +1154,7 @@ def test_where_no_go1_ran_and_what_was_not_tuned_is_as_the_pages_of_seconds_say(
     for text in (
         "more than {:.2f} ms ({:.2f} to {:.2f})".format(*level),
         f"sooner from {walk.replace(' (', ' ms on (')}.",
-        f"No Go1 ran between {below:.2f} and {above:.1f} ms.",
+        f"No Go1 ran between {below:.1f} and {above:.1f} ms.",
     ):
         assert text in pages["README"], text
     assert below < level[0] < float(walk.split()[0]) < above
