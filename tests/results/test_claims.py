@@ -33,7 +33,7 @@ def test_a_mean_of_some_seeds_says_of_how_many():
     assert claims.million(np.array([1e6, 2e6])) == ("1.5", "M steps")
     assert claims.million(np.array([1e6, np.nan])) == ("1", "M steps, 1 of 2 seeds")
     numbers = claims.read()
-        some = [numbers[f"{robot} PPO walks"]["unit"] for robot in claims.ROBOTS]
+    some = [numbers[f"{robot} PPO walks"]["unit"] for robot in claims.ROBOTS]
     assert some == ["M steps"] * 3 + ["M steps, 9 of 10 seeds"]
 
 

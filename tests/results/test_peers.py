@@ -378,7 +378,7 @@ def test_the_pages_say_how_much_the_methods_were_tuned():
             if row["name"][0] not in "qw" and row["batch"] in "123458"
         }
     page = " ".join((EXPERIMENTS / "21_less/ppo.md").read_text().split())
-        ((total, part),) = re.findall(r"PPO was chosen in (\d+): (.*?) of these on fresh seeds\.", page)
+    ((total, part),) = re.findall(r"PPO was chosen in (\d+): (.*?) of these on fresh seeds\.", page)
     found = [[*map(int, x)] for x in re.findall(r"(\d+)(?: settings)? in (\d+)", part)]
     settings, runs = zip(*found, strict=True)
     assert len(ppo) == sum(runs[:-1]) and int(total) == sum(runs)  # the last are controls
