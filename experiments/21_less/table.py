@@ -235,7 +235,7 @@ def at(jobs, millions) -> str:
 
 def beside(jobs) -> str:
     """In Markdown, a line a robot and PPO: how many times the steps of `best` it needs, with Fieller's
-    interval; "at least" where some seeds never get there and count with the steps of a whole run. Then what
+    interval; "at least" where some seeds never get there and count with all steps of their runs. Then what
     `best` returns more and, in points of per cent, falls more, at 2 M steps and where the shortest run of PPO
     on that robot ends."""
     runs = ("ppo-task", "ppo", "ppo-level", "ppo-walk")
@@ -249,8 +249,9 @@ def beside(jobs) -> str:
         end = min(seeds(job)[0][-1]["sim_steps"] for job in there)
         margin = 1.0 if letter in "gh" else 0.7
         one, other = (reached(seeds(job), walks.level(best(mine))) for job in (ppo, mine))
-        cells = [f"{name}-{letter}", factor(one.level, other.level, end)]
-        cells.append(factor(one.walks, other.walks, end))
+        whole = seeds(ppo)[0][-1]["sim_steps"]
+        cells = [f"{name}-{letter}", factor(one.level, other.level, whole)]
+        cells.append(factor(one.walks, other.walks, whole))
         for column, scale in (("return", 1), ("fall_rate", 100)):
             for steps in (2e6, end):
                 pair = [scale * between(job, steps, column) for job in (mine, ppo)]

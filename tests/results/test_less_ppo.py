@@ -245,10 +245,11 @@ def test_which_walks_the_control_of_208_robots_won_is_by_its_rule():
         return np.nan_to_num(ours_of(name).walks, nan=jobs[name][-1]["sim_steps"]) / 1e6
 
     go2, anymal = (stats.difference(*(whole(s[x]) for s in (mine, before))) for x in "hc")
-    told = f"a Go2 needs {-go2.value:.2f} M fewer than before ({-go2.high:.2f} to {-go2.low:.2f}, "
-    told += "uncorrected), that an ANYmal-C needs fewer is not shown "
-    told += f"({-anymal.value:.2f} fewer; {-anymal.low:.2f} fewer to {anymal.high:.2f} more)"
-    assert told in text
+    ranks = [stats.rank_sum(*(ours_of(s[x]).walks for s in (mine, before))) for x in "hc"]
+    told = f"a Go2 needs {-go2.value:.2f} M fewer than before ({-go2.high:.2f} to {-go2.low:.2f}; by ranks p "
+    told += f"{ranks[0]:.3f}; uncorrected). That an ANYmal-C needs fewer is not shown "
+    told += f"({-anymal.value:.2f} fewer; {-anymal.low:.2f} fewer to {anymal.high:.2f} more; by ranks p "
+    assert f"{told}{ranks[1]:.2f})" in text
     control = table.read(LESS / "results/ablation.csv.xz", "4")["updates-208-5-h"]
     first = table.reached(table.seeds(control), 38).walks
     assert len(first) == 5 and np.isfinite(first).all()
@@ -262,7 +263,21 @@ def test_which_walks_the_control_of_208_robots_won_is_by_its_rule():
     assert f"walks as soon on a Go2, after {level.mean() / 1e6:.2f} M" in text
     assert stats.rank_sum(level, again) > 0.3
     late = ours_of(mine["c"]).walks == jobs[mine["c"]][-1]["sim_steps"]
-    assert late.sum() == 2 and "Two ANYmal-C walk from their last evaluation on alone." in text
+    assert (
+        late.sum() == 2
+        and "Two ANYmal-C walk from their last evaluation on alone, at 3.74 M" in text
+    )
+    assert (ours_of("ppo-walk-d").walks == jobs["ppo-walk-d"][-1]["sim_steps"]).sum() == 2
+    assert "as two ANYmal-D of the PPO to walk do at 3.69;" in text
+    short = [row for row in jobs[mine["c"]] if row["sim_steps"] <= 3.69e6]
+    assert f"and it still costs less, {choose.cost(short) / 1e6:.2f}." in text
+    few = table.read(LESS / "results/ablation.csv.xz", "4")["updates-208-5-d"]
+    few, ten = table.reached(table.seeds(few), 24).walks, ours_of(mine["d"]).walks
+    told = "Of ANYmal-D the five walked sooner than these ten (p {:.3f}), which are later than the PPO to "
+    told += "walk (p {:.3f})"
+
+    told = told.format(stats.rank_sum(few, ten), stats.rank_sum(ten, ours_of("ppo-walk-d").walks))
+    assert told in text and np.nanmean(few) < np.nanmean(ten)
     steps = {x: ours_of(mine[x]).level / 1e6 for x in "ghcd"}
     told = "it needs {:.2f}, {:.2f}, {:.2f} and {:.2f} M: no fewer than the PPO tuned for that is shown"
     assert told.format(*(x.mean() for x in steps.values())) in text

@@ -77,3 +77,40 @@ def test_what_is_said_of_few_and_crossq_beside_it_is_so():
     assert f"and {sixty.value:.1f} times with 64 ([{sixty.low:.1f} to {sixty.high:.1f}]" in TEXT
     walk = [(~np.isnan(few_fresh(letter)[1].walks)).sum() for letter in "gc"]
     assert "walks by 44 thousand on {} and {} of 30 seeds".format(*walk) in TEXT
+
+
+def test_rows_on_short_tails_falls_and_symmetry_have_the_numbers_of_their_pages():
+    """Those of tables that test_collapse.py and test_less_model.py hold against the runs."""
+    collapse, model, paper_page = (
+        (EXPERIMENTS / x).read_text()
+        for x in ("19_collapse/README.md", "21_less/model.md", "paper/README.md")
+    )
+
+    def row_of(page, start):
+        return next(cells(line) for line in page.splitlines() if line.startswith(start))
+
+    falls = row_of(collapse, "| `dose16-falls` | `rows8` | Go1 ")
+    end, more, holm = falls[4].split(",")[0], falls[6].split(" ")[0].strip("+"), falls[7]
+    verdict, other = (row_of(x, "| tails must be short") for x in (PAGE, paper_page))
+    assert f"16 of 24 end at {end} of 45 on a Go1" in verdict[2] and f"at {end} of 45" in other[2]
+    assert f"{more} more than its real rows alone, Holm {holm}" in verdict[4]
+    assert f"{more} more than their real rows alone (Holm {holm})" in other[2]
+    for job in ("dose4", "dose8"):  # no harm shown
+        for robot in ("Go1", "ANYmal-C"):
+            shown = [
+                line
+                for line in collapse.splitlines()
+                if line.startswith(f"| `{job}` | `rows") and f"| {robot} |" in line
+            ]
+            assert shown and not any("worse" in line for line in shown), (job, robot)
+    whole, without, none = (
+        row_of(model, f"| {x} |")
+        for x in ("(all parts)", "symmetric policy", "predicted falls (`model.falls`)")
+    )
+    assert all(cell.split("; ")[1] == "never" for cell in none[1:])
+    for page in (PAGE, paper_page):
+        assert "no robot is at its level" in row_of(page, "| on flat ground falls")[2]
+        told = "{}, {}, {} and {} instead of {}, {}, {} and {} M".format(
+            *(cell.split("; ")[1] for line in (without, whole) for cell in line[1:])
+        )
+        assert told in row_of(page, "| symmetry can be used")[2]
