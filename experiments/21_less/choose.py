@@ -1,14 +1,17 @@
 """The best of tuned settings, as a list of jobs on fresh seeds. The rule for a walk is older than the runs.
 
     python experiments/21_less/choose.py FOLDER JOBS.txt FRESH.txt [--seed 1200] [--num-seeds 10] [--level]
-        [--beyond LATER.txt]
+        [--returns 30 20] [--earlier EARLIER.txt RUNS.csv.xz] [--beyond LATER.txt] [--episodes 1000]
+        [--as-often]
 
 FOLDER is what run.py made of JOBS.txt; every job must have run. Of the settings of a robot, the best is the
 one with the fewest simulator steps until it walks (dynappo/policy/walks.py), mean over seeds; a seed that
 never walks counts with twice all its steps. FRESH.txt gets that setting of each robot, as `walks-NAME`,
 with other seeds, and an evaluation of 1000 episodes twice as often. `--level`: steps to the level decide,
-whatever the falls, and the name is `level-NAME`. `--beyond`: settings that ran later compete with those of
-JOBS.txt, and FRESH.txt gets the best of a robot only if it is one of them.
+whatever the falls, and the name is `level-NAME`. `--returns`: with `--level`, that of a return of 45, and of
+one of 30. `--earlier`: settings that ran before, in a packed file, compete where JOBS.txt has that robot and
+variant. `--beyond`: settings that ran later compete with those of JOBS.txt, and FRESH.txt gets the best of a
+robot only if it is one of them. `--as-often`: evaluated as often as in tuning.
 """
 
 import importlib
@@ -30,11 +33,23 @@ def main():
     parser.add_argument("--seed", type=int, default=1200)
     parser.add_argument("--num-seeds", type=int, default=10)
     parser.add_argument("--level", action="store_true")
+    parser.add_argument("--returns", type=float, nargs=2, metavar=("OF_45", "OF_30"))
+    parser.add_argument("--earlier", type=Path, nargs=2, metavar=("EARLIER.txt", "RUNS.csv.xz"))
     parser.add_argument("--beyond", type=Path, metavar="LATER.txt")
+    parser.add_argument("--episodes", type=int, default=1000)
+    parser.add_argument("--as-often", action="store_true")
     args = parser.parse_args()
+    if args.returns and not args.level:
+        raise SystemExit(
+            "--returns is given without --level, by which alone returns decide; add it"
+        )
     later = paper.jobs(args.beyond) if args.beyond else {}
-    jobs = paper.jobs(args.jobs) | later
-    found = table.read(args.folder)
+    jobs, found = paper.jobs(args.jobs) | later, table.read(args.folder)
+    if args.earlier:
+        robots = {line.split()[0] for line in jobs.values()}
+        before = paper.jobs(args.earlier[0]).items()
+        before = {name: line for name, line in before if line.split()[0] in robots}
+        jobs, found = before | jobs, table.read(args.earlier[1]) | found
     if missing := [name for name in jobs if name not in found]:
         raise SystemExit(f"{args.folder} lacks {', '.join(missing)}; run them first")
     if other := [name for name, line in jobs.items() if found[name][0]["job"] != line]:
@@ -42,7 +57,7 @@ def main():
             f"{args.folder} has other settings of {', '.join(other)} than were asked for"
         )
     goal = "level" if args.level else "walks"
-    costs = {name: cost(found[name], goal) for name in jobs}
+    costs = {name: cost(found[name], goal, args.returns) for name in jobs}
     lines = []
     for robot in dict.fromkeys(line.split()[0] for line in jobs.values()):
         mine = [name for name, line in jobs.items() if line.split()[0] == robot]
@@ -50,25 +65,27 @@ def main():
             print(f"{name}: {costs[name] / 1e6:.2f} M")
         name = min(mine, key=costs.get)
         if not later or name in later:
-            lines.append(fresh(f"{goal}-{name}", jobs[name], args.seed, args.num_seeds))
+            more = {"run.seed": args.seed, "run.num_seeds": args.num_seeds}
+            more["run.eval_envs"] = args.episodes
+            lines.append(fresh(f"{goal}-{name}", jobs[name], more, 1 if args.as_often else 2))
     args.fresh.write_text("".join(lines))
 
 
-def cost(job: list[dict], goal: str = "walks") -> float:
+def cost(job: list[dict], goal: str = "walks", returns=None) -> float:
     """Mean steps of the seeds to the `goal`, a field of `stats.Reached`; twice all steps where one never
-    gets there."""
-    runs = table.seeds(job)
-    steps = getattr(table.reached(runs, walks.level(table.best(job))), goal)
+    gets there. `returns`: what is asked of a return of 45, and of one of 30, in place of the level."""
+    runs, best = table.seeds(job), table.best(job)
+    least = walks.level(best) if returns is None else returns[best != 45]
+    steps = getattr(table.reached(runs, least), goal)
     never = [2 * run[-1]["sim_steps"] for run in runs]
     return float(np.mean(np.where(np.isnan(steps), never, steps)))
 
 
-def fresh(name: str, line: str, seed: int, num_seeds: int) -> str:
-    """The job with other seeds, evaluated on more episodes, twice as often."""
+def fresh(name: str, line: str, more: dict[str, int], often: int) -> str:
+    """The job with other seeds and episodes, evaluated so many times as often."""
     fields = dict(field.split("=", 1) for field in line.split()[1:])
     every = int(fields["run.eval_every"])
-    fields |= {"run.seed": seed, "run.num_seeds": num_seeds}
-    fields |= {"run.eval_envs": 1000, "run.eval_every": every // 2}
+    fields |= more | {"run.eval_every": every // often}
     return " ".join([name, line.split()[0], *(f"{k}={v}" for k, v in fields.items())]) + "\n"
 
 
