@@ -15,10 +15,12 @@ from experiments import paper, pictures, run, stats
 
 # folder of results/ -> what simulates, and its variants
 SIMULATORS = {
-    "kernel": ("our kernel (best: 1024 robots)", ("ppo12", "ppo16", "dyna4", "best")),
-    "mujoco_warp": ("MuJoCo Warp (best: 4096 robots)", ("ppo16", "dyna4", "best")),
+    "kernel": ("our kernel", ("ppo12", "ppo16", "dyna4", "best")),
+    "mujoco_warp": ("MuJoCo Warp's own step", ("ppo16", "dyna4", "best")),
 }
 VARIANTS = SIMULATORS["kernel"][1]
+# folder -> its `best`; all else has 4096 robots
+BEST = {"kernel": "best,\n1024 robots", "mujoco_warp": "best of then"}
 # phase of dynappo.bench -> the paper's name
 PHASES = {
     "physics": "Ground-truth Simulation (p)",
@@ -229,7 +231,7 @@ def draw(rows, reports, path: Path) -> None:
         for y, variant in enumerate(names):
             runs = reports.get(folder, {}).get(variant, [])
             some = counts(variant, runs)
-            labels.append(label(variant, some))
+            labels.append(label(folder, variant, some))
             wanted = {} if folder == "paper" else {"variant": variant}
             row = paper.pick(rows, simulator=folder, **wanted)
             if "ppo_mean" not in row:
@@ -252,12 +254,12 @@ def draw(rows, reports, path: Path) -> None:
     pictures.save(page, path)
 
 
-def label(variant: str, some: tuple[int, ...]) -> str:
-    """What a bar is; of `best` also its steps, real and of each round."""
+def label(folder: str, variant: str, some: tuple[int, ...]) -> str:
+    """What a bar is; of `best` also which one, and its steps, real and of each round."""
     if variant != "best":
         return paper.VARIANTS[variant]
     rounds = f"{some[3]} x " if some[3] > 1 else ""
-    return f"best\n({some[0]} + {rounds}{some[1] // some[3]})"
+    return f"{BEST[folder]}\n({some[0]} + {rounds}{some[1] // some[3]} steps)"
 
 
 def bar(axis, y: int, widths: list[float], measured: float | None) -> float:
@@ -272,7 +274,7 @@ def bar(axis, y: int, widths: list[float], measured: float | None) -> float:
     end = max(left, measured or 0.0)
     text = f"  {measured or left:.3g}"
     if measured and left > 1.05 * measured:
-        text += f"\n  (sum {left:.3g})"
+        text += f"\n  (phases: {left:.3g})"
     axis.text(end, y, text, va="center")
     return end
 
