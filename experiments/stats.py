@@ -2,7 +2,8 @@
 
 A seed is one number, so five seeds are five numbers. They are taken as independent and roughly normal,
 with a variance of their own in each setting. Seeds are not paired here: MuJoCo Warp is not deterministic.
-Where equal seeds are alike all the same, as in 13_step_time, these intervals are wider than they need be.
+Where equal seeds are alike all the same, as in five jobs of 13_step_time (in 30_row_cost they are not), these
+intervals are wider than they need be.
 
 **Seeds that never reach a level are counted, never dropped in silence.** Means of steps are of the seeds
 that get there, beside how many do. A share of PPO-16's steps counts a seed that does not with all steps

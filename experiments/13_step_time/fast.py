@@ -85,11 +85,12 @@ def table(found) -> str:
     lines = []
     for (engine, method), one in found.items():
         iterations, steps, seconds = one.level.T
-        walks = row_cost.cells(one.walks)
+        _, _, walks = row_cost.cells(one.walks)
+        walk = int(np.isfinite(one.walks[:, 0]).sum())
         cells = [ENGINES[engine], f"`{method}`", half(ms(one), 1), half(ms(one, LATE), 1)]
         cells += [f"{one.there.sum()} of {len(one.there)}", half(iterations, 0)]
         cells += [half(steps / 1e6, 1), half(seconds, 2)]
-        lines.append(cells + [walks[0], walks[2]])
+        lines.append([*cells, f"{walk} of {len(one.walks)}", walks])
     return paper.markdown(head, lines)
 
 
