@@ -441,7 +441,7 @@ def test_what_the_page_says_of_fast_in_seconds_is_so(fast_page, fast_level):
     text = (
         "38 are {:.2f} times PPO-16's by our kernel ({:.2f} to {:.2f}; `dyna4` in float32 {:.2f}, "
     )
-    text += "{:.2f} to {:.2f}), by MuJoCo Warp {:.2f} ({:.2f} to {:.2f}; H200, five fresh seeds)"
+    text += "{:.2f} to {:.2f}), by MuJoCo Warp {:.2f} ({:.2f} to {:.2f}; H200, five fresh seeds, uncorrected)"
     assert text.format(*ours, *tail, *warp) in claim
     last = {key: level["iteration"] == 400 for key, level in fast_level.items()}
     assert sum(x.sum() for x in last.values()) == 2

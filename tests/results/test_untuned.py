@@ -494,6 +494,7 @@ def test_episodes_of_today_are_as_long_as_the_page_says(monkeypatch):
 
 def test_jobs_on_fresh_seeds_are_those_that_choose_takes(monkeypatch):
     """PPO of both goals, a setting once a robot; `best` without a field that changes training."""
+    more = {"run.seed": 1200, "run.num_seeds": 10, "run.eval_envs": 1000}
     monkeypatch.chdir(FOLDER)
     choose, asked = script("21_less/choose"), paper.jobs(FOLDER / "ppo.txt")
     lines, seen = [], set()
@@ -501,7 +502,7 @@ def test_jobs_on_fresh_seeds_are_those_that_choose_takes(monkeypatch):
         for robot, (setting, _) in soonest(goal).items():
             name = f"{robot}-grid-{setting}"
             if name not in seen:
-                lines.append(choose.fresh(f"{goal}-{name}", asked[name], 1200, 10))
+                lines.append(choose.fresh(f"{goal}-{name}", asked[name], more, 2))
             seen.add(name)
     text = (FOLDER / "fresh.txt").read_text()
     assert text.startswith("".join(lines))
