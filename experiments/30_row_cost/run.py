@@ -3,13 +3,14 @@
     python experiments/30_row_cost/run.py OUT_FOLDER JOBS.txt [PLACE ...] [--ahead 3]
 
 A line of JOBS.txt is `NAME ROBOT:VARIANT [FIELD=VALUE ...]` and becomes OUT_FOLDER/NAME.csv, a row an
-evaluation and seed; with PLACEs, those jobs in their order, or all that begin so. Four fields are not of the
-config: `seeds=5` trains so many from run.seed on, one after another, by one compiled program; `episodes=500`
-of `steps=1000` control steps are an evaluation; `engine=mujoco_warp` simulates by MuJoCo Warp's own step what
-a kernel of ours would take. A job has a process of its own, and jobs whose CSV is there are skipped. One that
-was cut off goes on after the seeds in OUT_FOLDER/NAME.part, at the same commit. OUT_FOLDER/NAME.log names a
-seed whose numbers are no longer finite, and NAME.error says why a job failed; the command fails then, too,
-when the others have run.
+evaluation and seed; with PLACEs, those jobs in their order, or all that begin so. Five fields are not of the
+config: `seeds=5` trains so many from run.seed on, one after another, by one compiled program; `warmup=2`
+trains and evaluates the two seeds before run.seed first, in each process, and writes nothing of them, because
+the first of a process are slow; `episodes=500` of `steps=1000` control steps are an evaluation;
+`engine=mujoco_warp` simulates by MuJoCo Warp's own step what a kernel of ours would take. A job has a process
+of its own, and jobs whose CSV is there are skipped. One that was cut off goes on after the seeds in
+OUT_FOLDER/NAME.part, at the same commit. OUT_FOLDER/NAME.log names a seed whose numbers are no longer finite,
+and NAME.error says why a job failed; the command fails then, too, when the others have run.
 
 `seconds` are those of training alone: the policies of every `run.log_every` iterations are kept, and
 evaluated when the run is over, all at once. Each row also has what a simulated row, one of a tail, a fit and
@@ -100,11 +101,13 @@ class Job(NamedTuple):
     engine: str  # "" or "mujoco_warp"
     episodes: int  # of an evaluation
     steps: int  # of such an episode
+    warmup: int = 0  # seeds before the first one, thrown away
 
 
 def read(job: str, fields) -> Job:
     values = dict(field.split("=", 1) for field in fields)
     count, engine = int(values.pop("seeds", 1)), values.pop("engine", "")
+    warmup = int(values.pop("warmup", 0))
     if engine not in ("", "mujoco_warp"):
         raise SystemExit(f"engine is {engine!r}, expected mujoco_warp; others by physics.impl")
     evaluated = int(values.pop("episodes", EPISODES)), int(values.pop("steps", STEPS))
@@ -113,7 +116,10 @@ def read(job: str, fields) -> Job:
     config.run.update(**DEFAULTS)
     for name, value in values.items():
         config_lib.override(config, name, value)
-    return Job(" ".join([job, *fields]), config_lib.validate(config), count, engine, *evaluated)
+    if not 0 <= warmup <= config.run.seed:
+        raise SystemExit(f"warmup is {warmup}, expected 0 to run.seed = {config.run.seed}")
+    text = " ".join([job, *fields])
+    return Job(text, config_lib.validate(config), count, engine, *evaluated, warmup)
 
 
 def one(path: Path, job: Job, compile: bool = False) -> None:
@@ -138,12 +144,14 @@ def one(path: Path, job: Job, compile: bool = False) -> None:
     there = {int(row["seed"]) for row in rows}
     about |= parts(config, program)
     began = time.perf_counter()
-    for seed in range(config.run.seed, config.run.seed + job.seeds):
-        if seed in there:
-            continue
+    first = config.run.seed
+    left = [seed for seed in range(first, first + job.seeds) if seed not in there]
+    for seed in [*range(first - job.warmup, first), *left]:
         state = program.place(init(program.hyper, jax.random.key(seed)))
         trained, policies, lost = train(config, program, state, seed)
         found = measure(policies)
+        if seed < first:  # thrown away
+            continue
         for k, row in enumerate(trained):
             told = {name: less.text(x[k]) for name, x in found.items()}
             rows.append(about | {"seed": seed} | row | told)
@@ -154,7 +162,7 @@ def one(path: Path, job: Job, compile: bool = False) -> None:
     part.replace(path)
     took = time.perf_counter() - began
     ms = 1e3 * float(rows[-1]["seconds"]) / int(rows[-1]["iteration"])
-    print(f"{ms:.2f} ms an iteration; {took:.0f} s of {job.seeds - len(there)} seeds")
+    print(f"{ms:.2f} ms an iteration; {took:.0f} s of {len(left)} seeds")
 
 
 def finished(part: Path, about: dict[str, str]) -> list[dict]:
