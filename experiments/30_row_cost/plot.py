@@ -69,12 +69,10 @@ def main():
                     "zorder": 2,
                 }
                 steps.plot(1.04 * ms, least.mean(), "s", **how)
-            if (
-                goal == "level"
-                and (quick := table.fastest(table.variants(found, best))) is not best
-            ):
+            quick = table.fastest(table.variants(found, best))
+            if quick is not best and np.isfinite(getattr(quick, goal)).all():
                 for axis, column, unit in ((seconds, 2, 1.0), (steps, 1, 1e6)):
-                    one = stats.moments(quick.level[:, column] / unit)
+                    one = stats.moments(getattr(quick, goal)[:, column] / unit)
                     axis.errorbar(
                         ms * 0.84, one.mean, stats.half_of(one), capsize=2, lw=1, zorder=3, **QUICK
                     )

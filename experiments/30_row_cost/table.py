@@ -6,8 +6,9 @@
 Runs are those of results/alone.csv.xz, one at a time on their device, and those of 25_humanoid and 04_laptop
 that were. A name is PLACE.METHOD: a place is a robot, task and engine; METHOD is `best`, one with settings
 for seconds (`tune-`: on the seeds among which they are chosen), or `ppo` with its robots, at some places x
-its rows. BATCH says card and date; the clock of a seed that ran more than once is the median. What the level
-is, and a walk: dynappo/policy/walks.py.
+its rows. `again-`: once more, by a rule of next.md; only the table of runs.md has these by itself. BATCH says
+card and date; the clock of a seed that ran more than once is the median. What the level is, and a walk:
+dynappo/policy/walks.py.
 
 Computed: `later` gives a run's seconds if its rows cost more, from its own clock and rows. `break_even` is
 the cost at which `best` and the fastest PPO take equally long; "for seconds": a setting for seconds and PPO.
@@ -251,10 +252,11 @@ def steps(run: Run) -> np.ndarray:
 
 
 def settings(found: list[Run], place: str) -> tuple[Run, list[Run]] | None:
-    """`(best, PPO's)` of the last day on which `best` has five seeds, and beside it a setting of PPO, all of
-    whose seeds get to the level; else of the last on which `best` has, else of that with most, and of that
-    day's host with most settings of PPO. Of runs of `best` all of whose seeds get to the level, and of PPO
-    more than half. None where one of the two has not been run, or no setting of PPO always gets there."""
+    """`(best, PPO's)` of the last day on which `best` has five seeds, and so has a setting of PPO, all of
+    whose seeds get to the level; else, whether PPO was cut off that day or did not run, of the last on which
+    `best` has, else of that with most, and of that day's host with most settings of PPO. Of runs of `best`
+    all of whose seeds get to the level, and of PPO more than half. None where one of the two has not been
+    run, or no setting of PPO always gets there."""
     here = [run for run in found if run.place == place]
     mine = [run for run in here if run.method == "best" and there(run) == 1]
     both = [(run, [ppo for ppo in beside(here, run) if there(ppo) > 0.5]) for run in mine]
@@ -262,7 +264,8 @@ def settings(found: list[Run], place: str) -> tuple[Run, list[Run]] | None:
 
     def worth(pair):
         best, ppos = pair
-        often = any(there(ppo) == 1 and len(ppo.level) >= OFTEN for ppo in ppos)
+        whole = [ppo for ppo in ppos if there(ppo) == 1 and len(ppo.level) >= OFTEN]
+        often = any(day(ppo) == day(best) for ppo in whole)
         own = [ppo for ppo in ppos if ppo.batch == best.batch]
         return min(len(best.level), OFTEN), often, day(best)[1], len(own)
 

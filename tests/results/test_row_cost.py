@@ -10,9 +10,12 @@ from functools import partial
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from result_files import EXPERIMENTS, ROOT, ROW_COST, script, shows
+from result_files import EXPERIMENTS, ROOT, ROW_COST, ours_of, script, shows
+from scipy import special
+from scipy import stats as scipy_stats
 
 from dynappo import schedule
+from dynappo.config import fields as config_fields
 from dynappo.terrain import tiles
 from experiments import paper, stats
 
@@ -1290,9 +1293,54 @@ def test_the_grid_of_rounds_and_robots_of_a_go1_is_as_the_page_of_settings_says(
         f" {stats.half_of(stats.moments(many.level[:, 2])):.2f} does not count",
         f"takes {ppo[0]:.2f} s to the level on host B and {ppo[1]:.2f} on host A (five fresh seeds):"
         f" {slow.value:.2f} s less than these {level['r2n4096']:.2f} ({slow.low:.2f} to {slow.high:.2f}), and"
-        f" {fast.value:.2f} ({fast.low:.2f} to {fast.high:.2f}). It did not run on host C.",
+        f" {fast.value:.2f} ({fast.low:.2f} to {fast.high:.2f}). To a walk it takes",
+        "which is not shown. It did not run on host C.",
     ):
         assert words in text, words
+    walks = [
+        stats.difference(many.walks[:, 2], run[batches[x], "ppo2048"].walks[:, 2]) for x in "BA"
+    ]
+    its = [run[batches[x], "ppo2048"].walks[:, 2].mean() for x in "BA"]
+    assert walks[0].low > 0 > walks[1].low
+    own = many.walks[:, 2].mean()
+    for words in (
+        f"To a walk it takes {its[0]:.2f} and {its[1]:.2f} s: {walks[0].value:.2f} s less than these"
+        f" {own:.2f} ({walks[0].low:.2f} to {walks[0].high:.2f}), and {walks[1].value:.2f}"
+        f" ({walks[1].low:.2f} to {walks[1].high:.2f}), which is not shown.",
+        "(two rounds, 4096 robots, three tuning seeds) that is shown on one host of two.",
+    ):
+        assert words in text, words
+    words = "takes {:.2f} s on three tuning seeds of a third host: {:.2f} s more than those {:.2f} ({:.2f} to"
+    words += " {:.2f}), {:.2f} more than PPO on the second ({:.2f} to {:.2f})."
+    words = words.format(own, walks[1].value, its[1], *walks[1][1:], *walks[0])
+    assert f"To a walk the nearest, two rounds with 4096, {words}" in flat("README")
+    # beside PPO of both hosts, to the level and to a walk
+    gaps = {
+        one.method: [
+            stats.difference(one.level[:, 2], run[batches[x], "ppo2048"].level[:, 2]) for x in "AB"
+        ]
+        for one in tuned
+    }
+    never = {one.method for one in tuned if np.isnan(one.level).any()}
+    assert never == {"tune-r1n512"}
+    shown = {name for name, pair in gaps.items() if all(gap.low > 0 for gap in pair)} - never
+    assert shown == {
+        one.method for one in tuned if one.robots > 512 or one.method.startswith("tune-r2")
+    }
+    assert len(shown) == 8 and all(gap.value > 0 for pair in gaps.values() for gap in pair)
+    assert gaps["tune-n512"][1].low < 0
+    words = "({:.2f} s, {:.2f} to {:.2f}, host A)".format(*gaps["tune-n512"][0])
+    assert f"With 512 robots and three rounds it is not {words}; with one, a seed never" in text
+    others = [x for x in run.values() if x.method.startswith(("best", "tune-"))]
+    others = [x for x in others if x.batch in batches.values()]
+    assert len(others) == 14
+    assert all(np.nanmean(x.walks[:, 2]) > max(its) for x in others)
+    assert all(np.nanmean(x.level[:, 2]) > max(ppo) for x in others)
+    quick, beside = (run[batches["B"], x] for x in ("best-r2n2048", "ppo2048"))
+    gap = stats.difference(quick.walks[:, 2], beside.walks[:, 2])
+    words = f"walks {gap.value:.2f} s before two rounds ({gap.low:.2f} to {gap.high:.2f})."
+    assert f"PPO with 2048 robots is sooner than both, and {words}" in text
+    assert "(but three rounds with 4096), makes a tail pay to the level there." in flat("README")
     assert not any(key[0] == last and key[1].startswith("ppo") for key in run)
     assert not any("4096" in key[1] and key[1].startswith("best-") for key in run)
     assert (min(more), min(x.walks[:, 2].mean() for x in tuned if x.robots > 512)) == (
@@ -1405,7 +1453,8 @@ def test_settings_for_seconds_with_mujoco_warp_are_as_the_pages_say():
         " with `best`.",
         f"a row of 2048 takes {two.row:.1f} ms, one of 1024 {best.row:.1f}.",
         f"it takes {three.level[:, 2].mean():.2f} s to the level with 2048 robots, not"
-        f" {best.level[:, 2].mean():.2f}; that this is faster is not shown",
+        f" {best.level[:, 2].mean():.2f}; corrected for both settings that ran, this is not shown to be"
+        " faster.",
     ):
         assert words in settings, words
     assert f"so its {three.level[:, 2].mean():.2f} s are flattered a little." in settings
@@ -1418,13 +1467,42 @@ def test_settings_for_seconds_with_mujoco_warp_are_as_the_pages_say():
         f"Break-even would be at {even.replace(' (', ' ms (')}, beside PPO of 2026-11-27."
         in settings
     )
+    # seed by seed, by SciPy's test of pairs
+    pairs = [scipy_stats.ttest_rel(best.level[:, 2], x.level[:, 2]) for x in (three, two)]
+    spans = [one.confidence_interval(0.95) for one in pairs]
+    corrected = stats.holm([one.pvalue for one in pairs])
+    assert f"{corrected[0]:.3f}" == f"{corrected[1]:.3f}"
+    kernel = [
+        next(x for x in found if x[:3] == ("go1.kernel", batch, "best")).level[:, 2]
+        for batch in (first, f"{first}, second host")
+    ]
+    alike = [
+        np.corrcoef(*pair)[0, 1]
+        for pair in (
+            (before.level[:, 2], best.level[:, 2]),
+            (before.level[:, 0], best.level[:, 0]),
+            kernel,
+        )
+    ]
+    words = "three rounds are {:.2f} s sooner ({:.2f} to {:.2f}, paired t test, p {:.3f}) and two {:.2f}"
+    words += (
+        " ({:.2f} to {:.2f}, p {:.3f}), which Holm's correction would call shown (both {:.3f})."
+    )
+    cells = [
+        (gap.value, *span, one.pvalue) for gap, span, one in zip(sooner, spans, pairs, strict=True)
+    ]
+    assert words.format(*cells[0], *cells[1], corrected[0]) in settings
+    words = (
+        "(`best` twice on these: r {:.2f} of seconds, {:.2f} of iterations; with our kernel {:.2f};"
+    )
+    assert words.format(*alike) in settings
     readme = flat("README")
     words = "it takes {:.2f} s on another host, where `best` takes {:.2f}: {:.2f} s less {}, for {:.1f} times"
     means = [x.level[:, 2].mean() for x in (three, best)]
     ratio = times(three, best, 1).value
     assert words.format(*means, sooner[0].value, span(sooner[0]), ratio) in readme
     for words in (
-        f"with both counted (p {holm:.3f}) a difference is not shown",
+        f"It is the faster of two settings. Corrected for both, p is {holm:.3f}, so a difference is not",
         f"on 2026-11-29 [PPO had two](runs.md#go1), and `best` took {means[1]:.2f} s.",
         f"of `best` for seconds two of five ({cut.level[:, 2].mean():.1f} s)",
         "two rounds with 2048 robots {:.2f} s, `best` {:.2f}, PPO {:.2f}; with MuJoCo Warp {:.2f} and"
@@ -1513,6 +1591,173 @@ def test_the_first_two_seeds_of_a_process_are_the_slow_ones_with_mujoco_warp():
         tails.append(f"{(clock['150'] - clock['10']) / 0.14:.0f}")
     words = "1100 and 1101 take {} and {} ms in each of the iterations 11 to 150, the other three {} to {}."
     assert words.format(*tails[:2], min(tails[2:]), max(tails[2:])) in flat("computed")
+
+
+def test_the_first_two_seeds_are_a_little_slow_with_our_kernel_too():
+    """Of processes on H200s with three seeds or more: our kernel in a Go1's, a Go2's and a G1's; MJX-JAX."""
+    table, jobs = script(f"{ROW_COST}/table"), {}
+    for row in table.read():
+        if row["device"] == "NVIDIA H200" and not row.get("run"):
+            process = row["batch"], row["name"], row["row_ms"]
+            jobs.setdefault(process, {})[row["seed"]] = (
+                1e3 * float(row["seconds"]) / int(row["iteration"])
+            )
+    more = {}
+    for (batch, name, _), seeds in jobs.items():
+        ms, place = [*seeds.values()], name.rpartition(".")[0]
+        if len(ms) >= 3:
+            kind = "kernel" if place in ("go1.kernel", "g1.kernel", "go2.rough") else place
+            gain = 100 * (np.mean(ms[:2]) / np.mean(ms[2:]) - 1)
+            more.setdefault(kind, {})[batch, name] = gain
+    ours, jax = ([*more[kind].values()] for kind in ("kernel", "go1.jax"))
+    slow = sum(gain > 0 for gain in ours)
+    runs = flat("runs")
+    for words in (
+        f"in {slow} of {len(ours)} processes with three seeds or more, but less: in the median by"
+        f" {np.median(ours):.1f} %, at most by {max(ours):.1f}.",
+        f"With MJX-JAX it is {min(jax):.0f} to {max(jax):.0f} % (four processes).",
+    ):
+        assert words in runs, words
+    assert len(jax) == 4
+    day = "H200, 2026-11-27"
+    both = more["kernel"][day, "go1.kernel.best"], more["go1.warp"][day, "go1.warp.best"]
+    words = "take {:.0f} % longer an iteration than the others, here {:.0f}.".format(*both)
+    assert f"the first two of `best` {words}" in flat("computed")
+    # with that step by more than with our kernel, in the median
+    dear = [x for kind in more if kind not in ("kernel", "go1.jax") for x in more[kind].values()]
+    assert len(dear) == 22 and np.median(dear) > 2 * np.median(ours)
+
+
+def test_ppo_for_seconds_is_an_older_setting_than_the_headlines():
+    """Its flags in all jobs of a Go1 and an ANYmal-C on a GPU; the steps of both, and what `best` needs."""
+    table, measure = script(f"{ROW_COST}/table"), script(f"{ROW_COST}/run")
+    lines = (EXPERIMENTS / ROW_COST / "jobs.txt").read_text().splitlines()
+    jobs = {name: measure.read(job, fields) for name, job, *fields in map(str.split, lines)}
+    older = [
+        job.config
+        for name, job in jobs.items()
+        if re.match(r"(go1|anymal_c)\..*ppo\d+$", name) and name != "go1.laptop.ppo512"
+    ]
+    assert len(older) == 22
+    for config in older:
+        own = config.ppo.gamma, config.ppo.lambda_, config.ppo.desired_kl, config.rollout.horizon
+        assert own == (0.97, 0.9, 0.03, 24) and not config.task.carry_on
+        assert config.task.episode_length == 250  # 5 s
+        assert config.schedule.late_from > config.run.num_iterations  # its KL is never halved
+    _, job, *fields = headline("ppo-g").split()  # "It is `PPO` of 21_less"
+    pair = jobs["go1.kernel.ppo256"], measure.read(job, fields)
+    own, then = (config_fields.flat(one.config) for one in pair)
+    assert own == then | {key: own[key] for key in own if key.startswith("run.")}
+    found = table.runs()
+    best, ppos = table.settings(found, "go1.kernel")
+    few = table.sparing(ppos)
+    assert few.method == "ppo256"
+    steps, share = few.level[:, 1].mean() / 1e6, stats.ratio(few.level[:, 1], best.level[:, 1])
+    head = {name: ours_of(f"{name}-g").level for name in ("best", "ppo-level", "ppo-walk")}
+    ppo = [head[name].mean() / 1e6 for name in ("ppo-level", "ppo-walk")]
+    ratios = [stats.ratio(head[name], head["best"]).value for name in ("ppo-level", "ppo-walk")]
+    assert {len(some) for some in head.values()} == {10}
+    assert all(" rollout.num_envs=128 " in headline(f"{x}-g") for x in ("ppo-level", "ppo-walk"))
+    for words, page in (
+        (
+            f"need {ppo[1]:.1f} to {ppo[0]:.2f} M steps to the level on a Go1, this one {steps:.2f} with 256"
+            f" robots. So the ratio of steps of {share.value:.1f} here is not the headline's"
+            f" {ratios[1]:.1f} to {ratios[0]:.1f}.",
+            "README",
+        ),
+        (
+            f"need {ppo[0]:.2f} and {ppo[1]:.2f} M steps to the level on a Go1 (ten seeds each, 128 robots),"
+            f" `ppo256` here {steps:.2f}. So here PPO needs {share.value:.1f} times the steps of `best`,"
+            f" there [{ratios[0]:.1f} and {ratios[1]:.1f}]",
+            "runs",
+        ),
+    ):
+        assert words in flat(page), words
+    assert not any(x.method.endswith("-walk") for x in found)  # "have not run"
+
+
+def headline(name):
+    """The line of a job of 21_less/headline.txt."""
+    lines = (EXPERIMENTS / "21_less/headline.txt").read_text().splitlines()
+    (line,) = [line for line in lines if line.split()[0] == name]
+    return f"{line} "
+
+
+def test_what_runs_again_is_as_before_on_new_seeds_and_as_its_rules_say():
+    """`again-` of next.md: the same settings but seeds and two that are thrown away; PPO to walk as the
+    headline's but robots and iterations; how likely what ran is to be shown; what no row takes."""
+    table, measure = script(f"{ROW_COST}/table"), script(f"{ROW_COST}/run")
+    lines = (EXPERIMENTS / ROW_COST / "jobs.txt").read_text().splitlines()
+    asked = {name: (job, fields) for name, job, *fields in map(str.split, lines)}
+    again = [name for name in asked if ".again-" in name]
+    assert len(again) == 8
+
+    def told(name):
+        job, fields = asked[name]
+        skipped = ("seeds=", "run.seed=", "warmup=")
+        return [job, *(x for x in fields if not x.startswith(skipped))]
+
+    for name in again:
+        read = measure.read(*asked[name])
+        assert (read.seeds, read.warmup, read.config.run.seed) == (5, 2, 1110)
+        assert read.episodes == measure.EPISODES
+    for name, before in (
+        ("go1.warp.again-best", "go1.warp.best"),
+        ("go1.warp.again-n2048", "go1.warp.best-n2048"),
+        ("go1.warp.again-ppo2048", "go1.warp.ppo2048"),
+        ("go1.kernel.again-best", "go1.kernel.best"),
+        ("go1.kernel.again-ppo2048", "go1.kernel.ppo2048"),
+        ("go1.kernel.again-r2n4096", "go1.kernel.tune-r2n4096"),
+    ):
+        assert told(name) == told(before)
+    _, job, *fields = headline("ppo-walk-g").split()
+    then = config_fields.flat(measure.read(job, fields).config)
+    for place in ("kernel", "warp"):
+        read = measure.read(*asked[f"go1.{place}.again-ppo2048-walk"])
+        now = config_fields.flat(read.config)
+        other = {key for key in now if now[key] != then[key] and not key.startswith("run.")}
+        assert other == {"rollout.num_envs", "schedule.late_from"}
+        after = [x["schedule.late_from"] * x["rollout.num_envs"] for x in (now, then)]
+        assert after[0] == after[1] and after[0] * 24 / 1e6 == pytest.approx(1.5, abs=0.03)
+        assert (now["ppo.late_kl"], now["ppo.lambda_"], now["ppo.desired_kl"]) == (0.5, 0.85, 0.04)
+    rows = table.read()
+    had = {int(x["seed"]) for x in rows if x["job"].startswith("go1")}
+    assert not had & {*range(1110, 1115)}
+    page = flat("next")
+    words = f"steps, which with 2048 robots is iteration {now['schedule.late_from']}."
+    assert words in page
+    # all that has not run is named, and nothing else
+    ran = {(x["name"], x["seed"]) for x in rows}
+    left = set()
+    for name, (job, fields) in asked.items():
+        read = measure.read(job, fields)
+        first = read.config.run.seed
+        if any((name, str(seed)) not in ran for seed in range(first, first + read.seeds)):
+            left.add(name)
+    text = (EXPERIMENTS / ROW_COST / "next.md").read_text()
+    commands = [x.split()[2:] for x in text.splitlines() if x.startswith("    python $J")]
+    named = [name for some in commands for name in paper.chosen(asked, some)]
+    assert len(named) == len(set(named)) and left <= {*named}
+    # and on one host once more
+    assert {*named} - left == {"go2.rough.best-r1e3", "go2.rough.best"}
+    # how likely five more seeds are to show what five showed
+    found = table.runs()
+    run = {one[1:3]: one for one in found if one.place == "go1.warp"}
+    last = "H200, 2026-11-29, second host"
+    one, other = (run[last, x].level[:, 2] for x in ("best", "best-n2048"))
+    t, df, _ = stats.welch(stats.moments(one), stats.moments(other))
+    nct, least = scipy_stats.nct, special.stdtrit(df, 0.975)
+    power = 1 - nct.cdf(least, df, t) + nct.cdf(-least, df, t)
+    assert f"it is shown in {100 * power:.0f} of 100 such runs" in page
+    ppo = next(x for x in found if x[:3] == ("go1.kernel", "H200, 2026-11-27", "ppo2048"))
+    assert f"`ppo2048` was at the level at iteration {ppo.level[:, 0].mean():.0f}, so" in page
+    # no row of README.md takes them
+    day = "H200, 2026-12-24"
+    new = [
+        ppo._replace(batch=day, method=name.rpartition(".")[2], place=name.rpartition(".")[0])
+        for name in again
+    ]
+    assert table.compared([*found, *new]) == table.compared(found)
 
 
 def test_how_the_second_host_of_2026_11_29_ran_is_as_the_page_of_runs_says():
@@ -1680,7 +1925,21 @@ def test_seconds_and_steps_are_drawn_over_the_cost_of_a_row(drawn, monkeypatch):
         "Go1 breaks even:\n0.88 ms (0.59 to 1.3)",
     ]
     marks = [[line.get_marker() for line in axis.lines] for axis in axes]
-    assert [few.count("^") for few in marks] == [4, 4, 0, 0]  # `best` for seconds
+    # `best` for seconds; to a walk where all its seeds do
+    assert [few.count("^") for few in marks] == [4, 4, 2, 2]
+    heights = [
+        [line.get_ydata()[0] for line in axis.lines if line.get_marker() == "^"]
+        for axis in axes[2:]
+    ]
+    table = script(f"{ROW_COST}/table")
+    run = {(one.place, one.method): one for one in table.runs() if "-" in one.method}
+    some = [run["go1.kernel", "best-r2n2048"], run["go1.warp", "best-n2048"]]
+    for found, column, unit in zip(heights, (2, 1), (1, 1e6), strict=True):
+        expected = [one.walks[:, column].mean() / unit for one in some]
+        np.testing.assert_allclose(found, expected)
+    never = [("go2.rough", "best-r1e3"), ("g1.kernel", "best-kl4e3")]
+    assert all(np.isnan(run[key].walks).any() for key in never)
+    assert "below where all seeds walk, so not of 2 and 3." in flat("README")
     assert [few.count(plot.NONE["marker"]) for few in marks] == [0, 0, 1, 1]  # no PPO walks
 
 
@@ -1794,6 +2053,11 @@ def test_seconds_where_a_row_costs_more_and_where_two_runs_break_even():
     assert table.settings([early, late, cut], "go1.kernel") == (late, [cut])
     most = cut._replace(level=whole.level, walks=whole.level)
     assert table.settings([early, late, whole, most], "go1.kernel") == (late, [most])
+    # a day without PPO is as one on which it was cut off; where no day has five seeds of it, the last
+    assert table.settings([early, late, whole], "go1.kernel") == (early, [whole])
+    elsewhere = whole._replace(batch="G, day 3")
+    assert table.settings([early, late, elsewhere], "go1.kernel") == (late, [elsewhere])
+    assert table.settings([early, late, cut, elsewhere], "go1.kernel") == (late, [cut])
     never = whole.level * [[np.nan], [1], [1], [1], [1], [1]]
     most = cut._replace(method="ppo512", level=never, walks=never)
     assert table.settings([*days, most], "go1.kernel") == (early, [whole])
@@ -1860,7 +2124,7 @@ def test_jobs_of_the_row_costs_are_valid_and_of_places_that_have_a_name():
     measure = script(f"{ROW_COST}/run")
     places = script(f"{ROW_COST}/plot").LABELS
     lines = (EXPERIMENTS / ROW_COST / "jobs.txt").read_text().splitlines()
-    assert len({line.split()[0] for line in lines}) == len(lines) == 57
+    assert len({line.split()[0] for line in lines}) == len(lines) == 65
     for line in lines:
         name, job, *fields = line.split()
         place, _, method = name.rpartition(".")
@@ -1868,10 +2132,15 @@ def test_jobs_of_the_row_costs_are_valid_and_of_places_that_have_a_name():
         assert place in places and (read.engine == "mujoco_warp") == place.endswith("warp")
         assert 10 <= len(measure.ends(read.config)) <= 36
         uses_model = schedule.uses_model(read.config)
-        assert uses_model != method.startswith("ppo")
+        assert uses_model != method.removeprefix("again-").startswith("ppo")
         assert read.seeds >= 5 or method.startswith("tune")
     with pytest.raises(SystemExit, match="engine is 'c', expected mujoco_warp"):
         measure.read("go1:best", ["engine=c"])
+    with pytest.raises(SystemExit, match="warmup is 2, expected 0 to run.seed = 1"):
+        measure.read("go1:best", ["warmup=2", "run.seed=1"])
+    with pytest.raises(SystemExit, match="warmup is -1, expected"):
+        measure.read("go1:best", ["warmup=-1"])
+    assert measure.read("go1:best", []).warmup == 0
 
 
 def test_jobs_of_fast_in_seconds_are_the_papers_and_what_its_page_says():
@@ -1929,28 +2198,7 @@ def test_a_run_alone_that_was_cut_goes_on_after_its_whole_seeds(tmp_path, monkey
     Rows of another commit are refused."""
     measure, ran, commit = script(f"{ROW_COST}/run"), [], ["abc"]
     job = measure.read("go1:best", ["seeds=3", "run.seed=1300"])
-    program = types.SimpleNamespace(
-        env=0, static=0, hyper=0, device="a card", place=lambda state: state
-    )
-
-    def train(config, program, state, seed):
-        ran.append(seed)
-        if ran == [1300, 1301]:
-            raise KeyboardInterrupt
-        row = {"iteration": 10, "sim_steps": 90, "seconds": f"{seed}.5"}
-        return [row], [None], f"seed {seed}: kl is not finite\n" * (seed < 1302)
-
-    for what, name, value in (
-        (measure.devices, "own_process", lambda device: None),
-        (measure.build, "check", lambda config: None),
-        (measure.build, "program", lambda config: program),
-        (measure.algorithm, "init", lambda env, hyper, key, static: hyper),
-        (measure.versions, "commit", lambda: commit[0]),
-        (measure, "parts", lambda *_: {"row_ms": "0.2"}),
-        (measure, "scores", lambda *_: {"return": [40.0]}),
-        (measure, "train", train),
-    ):
-        monkeypatch.setattr(what, name, value)
+    measured = stand_ins(measure, monkeypatch, ran, commit, stops=[1300, 1301])
     path = tmp_path / "best-g.csv"
     with pytest.raises(KeyboardInterrupt):
         measure.one(path, job)
@@ -1960,11 +2208,63 @@ def test_a_run_alone_that_was_cut_goes_on_after_its_whole_seeds(tmp_path, monkey
     commit[0] = "abc"
     measure.one(path, job)
     assert ran == [1300, 1301, 1301, 1302] and not path.with_suffix(".part").exists()
+    assert measured == [1300, 1301, 1302]
     rows = paper.rows(path)
     assert [row["seed"] for row in rows] == [1300, 1301, 1302]
     assert [row["seconds"] for row in rows] == [1300.5, 1301.5, 1302.5]
     told = [line.split(":")[0] for line in path.with_suffix(".log").read_text().splitlines()]
     assert told == ["seed 1300", "seed 1301"]
+
+
+def test_a_run_alone_throws_seeds_away_at_the_start_of_each_process(tmp_path, monkeypatch):
+    """Those before the first one, trained and evaluated, of which neither CSV nor log has anything; again
+    where it goes on."""
+    measure, ran = script(f"{ROW_COST}/run"), []
+    job = measure.read("go1:best", ["seeds=2", "run.seed=1301", "warmup=2"])
+    measured = stand_ins(measure, monkeypatch, ran, ["abc"], stops=[1299, 1300, 1301, 1302])
+    path = tmp_path / "best-g.csv"
+    with pytest.raises(KeyboardInterrupt):
+        measure.one(path, job)
+    measure.one(path, job)
+    assert ran == [1299, 1300, 1301, 1302, 1299, 1300, 1302]
+    assert measured == [1299, 1300, 1301, 1299, 1300, 1302]
+    rows = paper.rows(path)
+    assert [row["seed"] for row in rows] == [1301, 1302]
+    assert {row["job"] for row in rows} == {"go1:best seeds=2 run.seed=1301 warmup=2"}
+    assert path.with_suffix(".log").read_text() == "seed 1301: kl is not finite\n"
+
+
+def stand_ins(measure, monkeypatch, ran, commit, stops):
+    """In place of training and evaluation: `ran` gets each seed that begins; it is cut off where `ran` is
+    `stops`. Returns the seeds that are evaluated. Seeds below 1302 blow up."""
+    program = types.SimpleNamespace(
+        env=0, static=0, hyper=0, device="a card", place=lambda state: state
+    )
+    measured = []
+
+    def train(config, program, state, seed):
+        ran.append(seed)
+        if ran == stops:
+            raise KeyboardInterrupt
+        row = {"iteration": 10, "sim_steps": 90, "seconds": f"{seed}.5"}
+        return [row], [seed], f"seed {seed}: kl is not finite\n" * (seed < 1302)
+
+    def scores(program, play, policies):
+        measured.extend(policies)
+        return {"return": [40.0]}
+
+    for what, name, value in (
+        (measure.devices, "own_process", lambda device: None),
+        (measure.build, "check", lambda config: None),
+        (measure.build, "program", lambda config: program),
+        (measure.algorithm, "init", lambda env, hyper, key, static: hyper),
+        (measure.versions, "commit", lambda: commit[0]),
+        (measure, "parts", lambda *_: {"row_ms": "0.2"}),
+        (measure, "scores", scores),
+        (measure, "train", train),
+    ):
+        monkeypatch.setattr(what, name, value)
+    return measured
 
 
 def test_the_command_of_runs_alone_fails_with_one_of_them(tmp_path, monkeypatch):
