@@ -264,6 +264,8 @@ def test_what_runs_next_names_scripts_and_jobs_that_there_are():
             assert rest[0] == "dynappo.bench" and bench.parse(rest[1:])
             continue
         assert (folder / script).is_file()
+        assert all((folder / x).is_file() for x in words if x.startswith("experiments/"))
+
         if script.endswith("/peers.py"):
             names = [x for x in rest[2:] if not x.startswith(("--", "OUT")) and not x.isdigit()]
             settings = paper.jobs(folder / rest[1])
@@ -281,7 +283,8 @@ def test_what_runs_next_names_scripts_and_jobs_that_there_are():
         parser.add_argument("names", nargs="*")
         given, _ = parser.parse_known_args(rest)
         if given.jobs.startswith("OUT/"):  # a command before it writes that
-            assert any(x.command.endswith(f" {given.jobs}") for x in lines[: lines.index(line)])
+            before = lines[: lines.index(line)]
+            assert any(f" {given.jobs} " in f"{x.command} " for x in before)
             continue
         jobs = [
             job.split()[0] for job in (folder / given.jobs).read_text().splitlines() if job.strip()
