@@ -163,9 +163,12 @@ def test_the_page_of_results_has_the_numbers_of_both():
         "PPO alone, to the level *": "ppo-level",
         "PPO alone, to walk †": "ppo-walk",
     }
-    older = {"PPO-16, 4096 robots, older": "ppo16", "PPO-24, 4096 robots, older": "ppo24"}
+    older = {"PPO-16, 4096 robots": "ppo16", "PPO-24, 4096 robots": "ppo24"}
     rows = [cells(line) for line in page.splitlines() if cells(line)[0] in LETTERS]
     assert len(rows) == 20
+    assert all(what in runs for _, what, *_ in rows[:12])  # one engine a table
+    assert all(what in older for _, what, *_ in rows[12:])
+
     for robot, what, *mine in rows:
         table, jobs = less("headline" if what in runs else "fresh")
         job = jobs[f"{(runs | older)[what]}-{LETTERS[robot]}"]
