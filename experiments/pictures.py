@@ -1,7 +1,9 @@
 """How the experiments' pictures look: one size, one palette, one way to say what a band is.
 
 A README shows a picture 830 pixels wide, which is `WIDE` inches: nothing is drawn wider, so letters keep
-their size. Colours are Okabe and Ito's, safe for the colour-blind; PPO is black and grey, tails have hues.
+their size. Colours are Okabe and Ito's, safe for the colour-blind. The paper's PPO is black and grey, tails
+have hues; of our own methods `best` is blue and PPO alone vermilion in all pictures that have them. (The
+paper's tail of four is vermilion, too; no picture has both.)
 Lines differ by dash and marks by shape too, so that a picture can be read without colour.
 """
 
@@ -20,6 +22,7 @@ from experiments import paper
 WIDE, DPI = 8.6, 150  # inches, pixels an inch
 ORANGE, SKY, GREEN, BLUE = "#E69F00", "#56B4E9", "#009E73", "#0072B2"
 VERMILION, PURPLE, BLACK, GREY = "#D55E00", "#CC79A7", "#222222", "#8c8c8c"
+BEST, PPO = BLUE, VERMILION  # ours; several settings of PPO differ by dashes and marks
 SHADES = (
     "#9ccbe8",
     "#56a3d4",
@@ -35,7 +38,7 @@ COLOURS = {
     "dyna4_noschedule": ORANGE,
     "dyna4": VERMILION,
     "fast": GREEN,
-    "best": BLUE,
+    "best": BEST,
 }
 DASHES: dict[str, Any] = {
     "ppo12": (0, (1, 1)),
@@ -159,8 +162,9 @@ def palette(path: Path) -> None:
     few.save(path, optimize=True)
 
 
-def band(axis, x, values, colour: str, label: str = "", most: int = 50, dash: Any = "-") -> None:
-    """The mean over seeds of `values` [I, S] and its 95 % t interval, at `most` points of `x` [I].
+def band(axis, x, values, colour: str, label="", most=50, dash: Any = "-", mark="") -> None:
+    """The mean over seeds of `values` [I, S] and its 95 % t interval, at `most` points of `x` [I]; `mark`s
+    stand along the line, at even distances.
 
     Rows with an empty cell are left out: before the first episodes end, and where a CSV is thin.
     """
@@ -172,7 +176,14 @@ def band(axis, x, values, colour: str, label: str = "", most: int = 50, dash: An
         low, high = learning_curves.interval(values[rows].T)
         axis.fill_between(x[rows], low, high, color=colour, alpha=0.18, linewidth=0)
     mean = values[rows].mean(1)
-    axis.plot(x[rows], mean, color=colour, linewidth=1.6, label=label, linestyle=dash)
+    how = marked(mark) | {"color": colour, "linestyle": dash, "label": label}
+    axis.plot(x[rows], mean, linewidth=1.6, **how)
+
+
+def marked(mark: str) -> dict[str, Any]:
+    """How a line's marks are drawn, with a white rim; none without a `mark`."""
+    look = {"marker": mark, "markersize": 5.5, "markeredgecolor": "white", "markevery": 0.12}
+    return look | {"markeredgewidth": 0.7} if mark else {}
 
 
 def bar(axis, cells, name: str, y: float, style: dict[str, Any]) -> None:

@@ -30,9 +30,9 @@ METHODS = {  # files -> label
     "ppo24": "PPO alone, 24 rows",
 }
 DRAWN = {  # runs of 30_row_cost -> label, colour, dashes
-    "go1.laptop.best": (":laptop, 512 robots, 8 of 24 rows simulated", pictures.BLUE, "-"),
-    "go1.laptop.ppo512": ("PPO alone, 512 robots, 24 rows", pictures.BLACK, "-"),
-    "go1.laptop.ppo256": ("PPO alone, 256 robots, 24 rows", pictures.VERMILION, (0, (5, 2))),
+    "go1.laptop.best": (":laptop, 512 robots, 8 of 24 rows simulated", pictures.BEST, "-"),
+    "go1.laptop.ppo512": ("PPO alone, 512 robots, 24 rows", pictures.PPO, "-"),
+    "go1.laptop.ppo256": ("PPO alone, 256 robots, 24 rows", pictures.PPO, (0, (5, 2))),
 }
 
 

@@ -15,14 +15,13 @@ import numpy as np
 from experiments import pictures
 
 table = importlib.import_module("experiments.05_playground.table")
-LOOKS = {
-    "brax": pictures.BLACK,
-    "brax1": pictures.GREY,
-    "brax10": pictures.VERMILION,
-    "ppo": pictures.ORANGE,
-    "best": pictures.BLUE,
+LOOKS = {  # variant -> colour, dashes of its mean
+    "brax": (pictures.BLACK, "-"),
+    "brax1": (pictures.GREY, (0, (4, 1))),
+    "brax10": (pictures.PURPLE, (0, (5, 1.2, 1, 1.2))),
+    "ppo": (pictures.PPO, (0, (2, 0.8))),
+    "best": (pictures.BEST, "-"),
 }
-
 MARKS = {"o": "brax's PPO", "D": "FlashSAC"}
 PUBLISHED = {  # at so many M steps: brax's PPO at 202, FlashSAC at 50
     "G1JoystickFlatTerrain": (23.4, 39.9),
@@ -59,9 +58,9 @@ def main():
 
 def name_all(axis, found) -> None:
     """For the legend: no task has all of them."""
-    for kind, colour in LOOKS.items():
+    for kind, (colour, dash) in LOOKS.items():
         if any(of == kind for _, of in found):
-            axis.plot([], [], color=colour, label=table.KINDS[kind].strip("`"))
+            axis.plot([], [], color=colour, ls=dash, lw=1.8, label=table.KINDS[kind].strip("`"))
 
 
 def fallen(found, names) -> None:
@@ -69,7 +68,7 @@ def fallen(found, names) -> None:
     rows = -(-len(names) // 4)
     page, axes = pictures.figure(rows, 4, 0.7 + 1.9 * rows, sharey=True)
     for axis, task in zip(axes.flat, names, strict=False):
-        for kind, colour in LOOKS.items():
+        for kind, (colour, dash) in LOOKS.items():
             some = found.get((task, kind), [])
             for each in some:
                 at = [table.when(row)[0] for row in each]
@@ -77,7 +76,7 @@ def fallen(found, names) -> None:
                 axis.plot(at, falls, color=colour, lw=0.7, alpha=0.5)
             if some:
                 mean = table.mean(some, kind != "best")
-                axis.plot(mean[:, 0], 100 * mean[:, 3], color=colour, lw=1.8)
+                axis.plot(mean[:, 0], 100 * mean[:, 3], color=colour, ls=dash, lw=1.8)
         name = task.removesuffix("Terrain").replace("Humanoid", "")
         axis.set_title(name, loc="left", fontsize=9.5)
         pictures.log(axis, subs=(1, 3), which="x")
@@ -91,7 +90,7 @@ def fallen(found, names) -> None:
 
 
 def panel(axis, found, task, unit):
-    for kind, colour in LOOKS.items():
+    for kind, (colour, dash) in LOOKS.items():
         some = found.get((task, kind), [])
         curves = [
             (np.array([table.when(row)[unit] for row in rows]), returns(rows)) for rows in some
@@ -101,7 +100,7 @@ def panel(axis, found, task, unit):
             axis.plot(at, back, color=colour, lw=0.7, alpha=0.5)
         if curves:
             mean = table.mean(some, kind != "best")
-            axis.plot(mean[:, unit], mean[:, 2], color=colour, lw=1.8)
+            axis.plot(mean[:, unit], mean[:, 2], color=colour, ls=dash, lw=1.8)
     if unit == 0 and task in PUBLISHED:
         for at, back, mark in zip((202, 50), PUBLISHED[task], MARKS, strict=True):
             axis.plot([at], [back], mark, color=pictures.BLACK, mfc="none")

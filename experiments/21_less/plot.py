@@ -19,9 +19,9 @@ table = importlib.import_module("experiments.21_less.table")
 
 ROBOTS = {"g": "Go1", "h": "Go2", "c": "ANYmal-C", "d": "ANYmal-D"}
 RUNS = {  # name in the results -> label, colour, dashes
-    "best": ("best", pictures.BLUE, "-"),
-    "ppo-level": ("PPO alone, for the level", pictures.VERMILION, "-"),
-    "ppo-walk": ("PPO alone, to walk", pictures.VERMILION, (0, (3, 1.5))),
+    "best": ("best", pictures.BEST, "-"),
+    "ppo-level": ("PPO alone, for the level", pictures.PPO, "-"),
+    "ppo-walk": ("PPO alone, to walk", pictures.PPO, (0, (3, 1.5))),
     "ppo24": ("PPO-24, 4096 robots (older)", pictures.GREY, (0, (5, 2))),
     "ppo16": ("PPO-16, 4096 robots (older)", pictures.BLACK, "-"),
 }

@@ -22,27 +22,27 @@ less = importlib.import_module("experiments.21_less.plot")
 
 HERE = Path(__file__).parent
 RUNS = {  # name in the results -> label, colour, dashes
-    "new-g": ("best", pictures.BLUE, "-"),
-    "mbpo-g": ("MBPO-like, ours", pictures.GREEN, (0, (3, 1.2))),
-    "sac": ("SAC", pictures.VERMILION, "-"),
+    "new-g": ("best", pictures.BEST, "-"),
+    "mbpo-g": ("MBPO-like, ours", pictures.GREEN, (0, (7, 1.5))),
+    "sac": ("SAC", pictures.ORANGE, (0, (3, 1.2))),
     "fasttd3": ("FastTD3, three seeds", pictures.PURPLE, (0, (5, 1.2, 1, 1.2))),
-    "ppo-kl3-g": ("PPO, tuned (256 robots)", pictures.ORANGE, (0, (1, 1))),
+    "ppo-kl3-g": ("PPO, tuned (256 robots)", pictures.PPO, (0, (1, 0.8))),
     "ppo16-g": ("PPO-16, 4096 robots", pictures.BLACK, (0, (5, 1.2))),
 }
 TODAY = {  # the same, of the task since 2026-11-25
-    "best-g": ("best", pictures.BLUE, "-"),
+    "best-g": ("best", pictures.BEST, "-"),
     "crossq-symmetric": ("CrossQ, symmetric networks", pictures.PURPLE, "-"),
     "crossq": ("CrossQ, mirrored batches", pictures.PURPLE, (0, (3, 1.2))),
-    "sac-symmetric": ("SAC, symmetric networks", pictures.GREEN, "-"),
-    "sac-today": ("SAC", pictures.VERMILION, (0, (3, 1.2))),
-    "ppo-level-g": ("PPO, to the level", pictures.ORANGE, (0, (1, 1))),
+    "sac-symmetric": ("SAC, symmetric networks", pictures.ORANGE, "-"),
+    "sac-today": ("SAC", pictures.ORANGE, (0, (3, 1.2))),
+    "ppo-level-g": ("PPO, to the level", pictures.PPO, (0, (1, 0.8))),
 }
 SETTINGS = {  # of SAC; by their gain of actions
-    "a": ("a: gain 3", pictures.BLACK, "-"),
+    "a": ("a: gain 3", pictures.GREY, (0, (1, 1))),
     "c": ("c: gain 2", pictures.SKY, "-"),
     "d": ("d: gain 2, 1024 robots", pictures.SKY, (0, (3, 1.2))),
-    "b": ("b: gain 1.5", pictures.VERMILION, (0, (3, 1.2))),
-    "e": ("e: gain 1.5 (chosen)", pictures.VERMILION, "-"),
+    "b": ("b: gain 1.5", pictures.ORANGE, (0, (3, 1.2))),
+    "e": ("e: gain 1.5 (chosen)", pictures.ORANGE, "-"),
 }
 LEVEL = walks.level(45)
 WINDOW = (2.2e6, 2.5e6)  # steps: the last that SAC has

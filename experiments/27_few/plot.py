@@ -19,11 +19,13 @@ peers = importlib.import_module("experiments.27_few.peers_table")
 others = importlib.import_module("experiments.24_off_policy.plot")
 HERE = Path(__file__).parent
 COLOURS = {  # by the last letter of a job
-    "g": pictures.BLUE,
-    "h": pictures.SKY,
-    "c": pictures.VERMILION,
-    "d": pictures.ORANGE,
+    "g": pictures.GREEN,
+    "h": pictures.ORANGE,
+    "c": pictures.PURPLE,
+    "d": pictures.BLACK,
 }
+DASHES = {"h": (0, (3, 1.2)), "d": (0, (1, 1))}
+METHODS = {"few": COLOURS["g"], "best": pictures.BEST, "PPO alone": pictures.PPO}  # others are grey
 IMAGINED = (  # robots for each simulated one -> job, of those with 4 real rows and 16 imagined ones
     (1, "part-imagined-{}"),
     (4, "try-imagined4-{}"),
@@ -41,9 +43,9 @@ def main():
     page, axes = pictures.figure(2, 3, 5.4)
     (over_steps, by_imagined, by_simulated), (falls, in_seconds, beside) = axes
     for letter, robot in table.ROBOTS.items():
-        colour = COLOURS[letter]
-        curve(over_steps, fresh[robot], robot, colour)
-        curve(falls, fresh[robot], robot, colour, falls=True)
+        colour, dash = COLOURS[letter], DASHES.get(letter, "-")
+        curve(over_steps, fresh[robot], robot, colour, dash)
+        curve(falls, fresh[robot], robot, colour, dash, falls=True)
         for count, name in IMAGINED:
             if name.format(letter) in jobs:
                 bar(by_imagined, count, jobs[name.format(letter)], colour)
@@ -52,11 +54,11 @@ def main():
             name = "default" if count == 256 else f"robots-{count}"
             job = fresh[table.ROBOTS[letter]] if count == 64 else jobs[f"{name}-{letter}"]
             bar(by_simulated, aside * count, job, COLOURS[letter])
-    bar(by_simulated, 1024, jobs["best-g"], pictures.GREY)
+    bar(by_simulated, 1024, jobs["best-g"], METHODS["best"])
     few, best = timed()
     for count, level in few.items():
-        whisker(in_seconds, count, level[:, 2], pictures.BLUE)
-    whisker(in_seconds, 1024, best[:, 2], pictures.GREY)
+        whisker(in_seconds, count, level[:, 2], METHODS["few"])
+    whisker(in_seconds, 1.15 * 1024, best[:, 2], METHODS["best"])
     methods(beside, level_of_each(fresh["Go1"], jobs["default-g"], few[4][:, 1]))
     over_steps.axhline(1, color="0.4", lw=1, ls=":")
     over_steps.set(xlim=(0, 50), ylim=(0, None))
@@ -114,8 +116,7 @@ def level_of_each(fresh, many, four):
 
 def methods(axis, found):
     for place, (name, steps) in enumerate(found):
-        colour = pictures.BLUE if name.startswith("few") else pictures.BLACK
-        colour = pictures.GREY if name.startswith("best") else colour
+        colour = METHODS.get(name.partition(",")[0], pictures.GREY)
         axis.plot([steps.min(), steps.max()], [place, place], color=colour, lw=1.2)
         axis.plot(steps.mean(), place, "o", color=colour, ms=5)
     axis.set_yticks(range(len(found)), [name for name, _ in found])
@@ -124,13 +125,13 @@ def methods(axis, found):
     pictures.log(axis, subs=(1,), which="x")
 
 
-def curve(axis, job, robot, colour, falls=False):
+def curve(axis, job, robot, colour, dash, falls=False):
     """The mean return of a job's seeds, in levels of its robot; or their falls, in per cent."""
     seeds = table.runs.seeds(job)
     steps = np.array([row["sim_steps"] for row in seeds[0]]) / 1e3
     what, unit = ("fall_rate", 0.01) if falls else ("return", table.level_of(job))
     values = np.array([[row[what] for row in rows] for rows in seeds]).T
-    pictures.band(axis, steps, values / unit, colour, robot, most=len(steps))
+    pictures.band(axis, steps, values / unit, colour, robot, most=len(steps), dash=dash)
 
 
 def bar(axis, at, job, colour):

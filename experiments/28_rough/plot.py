@@ -17,14 +17,14 @@ from experiments import pictures
 
 table = importlib.import_module("experiments.28_rough.table")
 
-LOOKS = {  # end of a run's name -> label, colour, dashes
-    "best": ("best (ten seeds)", pictures.BLUE, "-"),
-    "ppo-4096": ("PPO, 4096 robots (three)", pictures.BLACK, "-"),
-    "ppo-gamma": ("PPO, gamma 0.99 (two)", pictures.ORANGE, (0, (5, 1.2, 1, 1.2))),
-    "ppo-kl1": ("PPO, KL 0.01 (two)", pictures.GREEN, "-"),
-    "ppo-late": ("PPO, KL 0.006 from 88 M on (two)", pictures.SKY, (0, (1, 0.8))),
-    "ppo-2048": ("PPO, 2048 robots (two)", pictures.PURPLE, (0, (2, 1))),
-    "ppo-1024": ("PPO, 1024 robots (two)", pictures.VERMILION, (0, (5, 2))),
+LOOKS = {  # end of a run's name -> label, colour, dashes, mark
+    "best": ("best (ten seeds)", pictures.BEST, "-", ""),
+    "ppo-4096": ("PPO, 4096 robots (three)", pictures.PPO, "-", ""),
+    "ppo-gamma": ("PPO, gamma 0.99 (two)", pictures.PPO, (0, (5, 1.2, 1, 1.2)), "D"),
+    "ppo-kl1": ("PPO, KL 0.01 (two)", pictures.PPO, "-", "o"),
+    "ppo-late": ("PPO, KL 0.006 from 88 M on (two)", pictures.PPO, (0, (1, 0.8)), "^"),
+    "ppo-2048": ("PPO, 2048 robots (two)", pictures.PPO, (0, (2, 1)), ""),
+    "ppo-1024": ("PPO, 1024 robots (two)", pictures.PPO, (0, (5, 2)), "s"),
 }
 PANELS = (  # robot, what of a row, title
     ("go2", "crossed", "Go2: all tiles"),
@@ -84,14 +84,14 @@ def crossed():
     pictures.save(page, Path(__file__).with_name("crossed"))
 
 
-def curve(axis, mine, what, label, colour, dash):
+def curve(axis, mine, what, label, colour, dash, mark):
     """The mean of a run's seeds over M steps, and a band from three seeds on."""
     seeds = [[*some] for _, some in groupby(mine, table.key)]
     steps = np.array([int(row["sim_steps"]) for row in seeds[0]]) / 1e6
     values = np.array([[share(row, what) for row in rows] for rows in seeds]).T
     if values.shape[1] < 3:
         values = values.mean(1, keepdims=True)
-    pictures.band(axis, steps, values, colour, label, most=len(steps), dash=dash)
+    pictures.band(axis, steps, values, colour, label, most=len(steps), dash=dash, mark=mark)
 
 
 def share(row, what):

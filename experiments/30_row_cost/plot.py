@@ -29,8 +29,9 @@ LABELS = {  # place -> words
     "go2.rough": "Go2 on rough ground, our kernel",
     "go1.laptop": "Go1, C MuJoCo",
 }
-LOOKS = {"best": (pictures.BLUE, "o", "best"), "ppo": (pictures.BLACK, "s", "PPO")}
-QUICK: dict[str, Any] = {"color": pictures.VERMILION, "marker": "^", "ms": 5.5}
+LOOKS = {"best": (pictures.BEST, "o", "best"), "ppo": (pictures.PPO, "s", "PPO")}
+QUICK: dict[str, Any] = {"color": pictures.SKY, "marker": "^", "ms": 6, "mec": pictures.BEST}
+OTHER: dict[str, Any] = {"color": pictures.PPO, "marker": "d", "mfc": "none", "ms": 5}
 NONE: dict[str, Any] = {"marker": r"$\uparrow$", "ls": "", "ms": 9, "mew": 0.3}
 DASHES = {"a GPU": "-", "two cores": (0, (4, 2))}
 APART = 1.25  # marks of two places stand at costs with this ratio, or a larger one
@@ -62,13 +63,7 @@ def main():
             pair(steps, ms, best, few, goal, 1, number)
             least = getattr(fast, goal)[:, 1] / 1e6
             if fast.method != few.method and np.isfinite(least).all():
-                how: dict[str, Any] = {
-                    "color": pictures.GREY,
-                    "ms": 4.5,
-                    "mfc": "none",
-                    "zorder": 2,
-                }
-                steps.plot(1.04 * ms, least.mean(), "s", **how)
+                steps.plot(1.04 * ms, least.mean(), ls="", zorder=2, **OTHER)
             quick = table.fastest(table.variants(found, best))
             if quick is not best and np.isfinite(getattr(quick, goal)).all():
                 for axis, column, unit in ((seconds, 2, 1.0), (steps, 1, 1e6)):
@@ -98,11 +93,11 @@ def computed(axis, found, goal: str) -> None:
     costs = table.COSTS[(table.COSTS >= before) & (table.COSTS <= 60)]
     mine = [stats.moments(column) for column in table.later(best, before, costs, 0.0).T]
     mean, half = (np.array([f(one) for one in mine]) for f in (lambda one: one.mean, stats.half_of))
-    axis.fill_between(costs, mean - half, mean + half, color=pictures.BLUE, alpha=0.15, lw=0)
-    axis.plot(costs, mean, color=pictures.BLUE, lw=1.4)
+    axis.fill_between(costs, mean - half, mean + half, color=pictures.BEST, alpha=0.15, lw=0)
+    axis.plot(costs, mean, color=pictures.BEST, lw=1.4)
     for name, power in table.POWERS.items():
         every = [table.later(run, before, costs, power).mean(0) for run in ppos]
-        axis.plot(costs, np.min(every, 0), color=pictures.BLACK, lw=1.4, ls=DASHES[name])
+        axis.plot(costs, np.min(every, 0), color=pictures.PPO, lw=1.4, ls=DASHES[name])
     even, low, high = table.break_even(best, ppos, before, table.POWERS["a GPU"])
     there = float(np.interp(even, costs, mean))
     axis.vlines(even, there, 300, color="0.5", lw=0.8, ls=":", zorder=0)
@@ -180,16 +175,16 @@ def legend(page, places: dict[str, int]) -> None:
     def mark(colour, shape, ms=6.0, **more):
         return Line2D([], [], color=colour, marker=shape, ls="", ms=ms, **more)
 
-    colour, other = pictures.BLUE, pictures.BLACK
+    colour, other = pictures.BEST, pictures.PPO
     keys = {words: mark(colour, shape) for colour, shape, words in LOOKS.values()}
     keys["best for seconds"] = Line2D([], [], ls="", **QUICK)
     keys["open: mean of the seeds that walk"] = mark(other, "s", mfc="white")
     keys["no PPO walks by there"] = Line2D([], [], color=other, **NONE)
-    keys["steps of the PPO on the left"] = mark(pictures.GREY, "s", mfc="none", ms=4.5)
+    keys["steps of the PPO on the left"] = Line2D([], [], ls="", **OTHER)
     keys["computed: Go1, best"] = line(colour, "-")
     keys["computed: PPO; a row of 4096 costs 1.35 times"] = line(other, DASHES["a GPU"])
     keys["computed: PPO; a row costs as its robots"] = line(other, DASHES["two cores"])
-    numbers = [mark(other, f"${number}$", mew=0.3) for number in places.values()]
+    numbers = [mark(pictures.BLACK, f"${number}$", mew=0.3) for number in places.values()]
     above = dict(
         loc="outside upper left", ncols=4 if len(places) < 5 else 3, frameon=False, fontsize=8.5
     )
