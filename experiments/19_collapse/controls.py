@@ -14,6 +14,9 @@
   `unanchored` does beyond this is the model's
 - `burn4`, `burn16`, `burn64`: a tail begins so many steps of the model behind the real state, in which it has
   errors by then. The robots stay physics'; the last real row is bootstrapped by the value of its `next_obs`
+- `cut`: a tail begins in the real state, as shipped; that last row is bootstrapped so all the same
+- `branch`: the same, and a tail begins in a real row of this rollout, drawn at random for each robot: what
+  off-policy methods do, and the paper says does not suit PPO. What it does beyond `cut` is the branching's
 """
 
 from functools import partial
@@ -28,7 +31,7 @@ from dynappo.model import dynamics, examples
 from dynappo.tasks.velocity import observe, view
 
 # folded into keys of the fit and of an iteration: larger than all else that is folded there
-COLD, ONWARD = 1 << 30, 1 << 29
+COLD, ONWARD, BRANCH = 1 << 30, 1 << 29, 1 << 28
 BURNS = 4, 16, 64
 
 _examples, _fit = examples.examples, fast.fit
@@ -140,6 +143,15 @@ def burnt(count, env, hyper, state, rows, n_real, start, key, *, static):
     return _imagine(env, hyper, state, **given)
 
 
+def branched(env, hyper, state, rows, n_real, start, key, *, static):
+    """`algorithm.imagine`, from a real row of `rows` drawn at random for each robot."""
+    del start
+    drawn = jax.random.fold_in(key, BRANCH)
+    start = dynamics.anchors(static, env, rows, n_real=n_real, key=drawn)
+    given = dict(rows=rows, n_real=n_real, start=start, key=key, static=static)
+    return _imagine(env, hyper, state, **given)
+
+
 def cut_behind_real(static, hyper, env, *, rows, real, **given):
     """`algorithm.estimate`, where no advantage comes from a tail to a real row."""
     last = real & ~jnp.roll(real, -1, axis=0).at[-1].set(False)
@@ -202,6 +214,8 @@ CONTROLS = {
     "bootstrap-real": [(algorithm, "estimate", bootstrap_real)],
     "unanchored": [(algorithm, "iterate", unanchored)],
     "rebuilt": [(algorithm, "iterate", rebuilt)],
+    "cut": [(algorithm, "estimate", cut_behind_real)],
+    "branch": [(algorithm, "imagine", branched), (algorithm, "estimate", cut_behind_real)],
     **{
         f"burn{count}": [
             (algorithm, "imagine", partial(burnt, count)),

@@ -23,7 +23,7 @@ drawn, but at an even distance from its last one) and `recent` (the fit drew a r
 one 100 rows newer), in commits up to 22eb9acd.
 
 What the paper claims, and others may do (19_collapse/controls.py): `cold`, `unmasked`, `bootstrap-real`,
-`unanchored`, `rebuilt`, `burn4`, `burn16`, `burn64`
+`unanchored`, `rebuilt`, `burn4`, `burn16`, `burn64`, `cut`, `branch`
 """
 
 import importlib

@@ -117,6 +117,17 @@ def test_a_tail_begins_some_steps_of_the_model_behind_the_real_state(toy):
     np.testing.assert_allclose(burnt.obs[REAL], after.obs, atol=1e-5)
     assert abs(burnt.obs[REAL] - start.obs).max() > 1e-2
     np.testing.assert_array_equal(burnt.obs[:REAL], rows.obs[:REAL])
+    # `branch`: in a real row of its own robot, which are not all the same; real rows stay
+    branch = jax.jit(partial(controls.branched, env, static=static))(hyper, state, **given)
+    apart = abs(np.array(rows.obs[:REAL]) - np.array(branch.obs[REAL])).max(-1)  # [REAL, R]
+    assert (apart.min(0) < 1e-6).all() and len({*apart.argmin(0)}) > 1
+    np.testing.assert_array_equal(branch.obs[:REAL], rows.obs[:REAL])
+    other_key = given | {"key": jax.random.key(4)}
+    again = jax.jit(partial(controls.branched, env, static=static))(hyper, state, **other_key)
+    assert (again.obs[REAL] != branch.obs[REAL]).any()
+    cut, branching = (dict((f, g) for _, f, g in controls.CONTROLS[x]) for x in ("cut", "branch"))
+    assert cut == {"estimate": controls.cut_behind_real}
+    assert branching == cut | {"imagine": controls.branched}
     real, live = (jnp.arange(8) < REAL)[:, None], dict(discount=jnp.ones_like(rows.discount))
     calm = rows.replace(truncation=0 * rows.truncation, **live)
     params = state.learner.params
@@ -227,6 +238,29 @@ def test_what_runs_next_is_what_ran_on_eight_other_seeds():
     assert (
         "eight fresh seeds each (710 to 717), Go1 and ANYmal-C" in (HERE / "README.md").read_text()
     )
+
+
+def test_anchors_on_other_robots_are_what_ran_on_a_go1_and_branching_is_its_control():
+    """`anchors.txt`: the jobs of Go1 on two robots more, of ANYmal-C on seeds that nothing ran on; tails that
+    branch differ from `tail` by their control alone."""
+    ran, later = (paper.jobs(HERE / f"{name}.txt") for name in ("jobs", "anchors"))
+    robots = {"h": "go2", "d": "anymal_d"}
+    for name, job in later.items():
+        what, _, robot = name.removeprefix("five-").rpartition("-")
+        if what in ("cut", "branch"):
+            same = ran[f"tail-{robot}"].split()
+            assert sorted(job.split()) == sorted([*same, f"control={what}"])
+        elif name.startswith("five-"):
+            same = ran[f"{what}-c"]
+            assert job == same.replace("seed=700 run.num_seeds=3", "seed=720 run.num_seeds=5")
+        else:
+            assert job == ran[f"{what}-g"].replace("go1:", f"{robots[robot]}:")
+        fields = dict(field.split("=", 1) for field in job.split()[1:])
+        assert fields.get("control", "cut") in controls.CONTROLS
+    assert len(later) == 12 and not any("seed=720" in job for job in ran.values())
+    words = " ".join((HERE / "README.md").read_text().split())
+    assert "five more seeds of an ANYmal-C (720 to 724)" in words
+    assert "**The rule, of the same day**: `branch` beside `cut`, and `cut` beside `tail`" in words
 
 
 @pytest.fixture(scope="module")
