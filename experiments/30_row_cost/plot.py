@@ -20,6 +20,8 @@ table = importlib.import_module("experiments.30_row_cost.table")
 
 LABELS = {  # place -> words
     "go1.kernel": "Go1, our kernel",
+    "go1.fine16": "Go1, our kernel, 16 physics steps",
+    "go1.fine32": "Go1, our kernel, 32 physics steps",
     "go1.warp": "Go1, MuJoCo Warp",
     "go1.exact": "Go1, exact task, MuJoCo Warp",
     "anymal_c.exact": "ANYmal-C, exact task, MuJoCo Warp",

@@ -1,6 +1,7 @@
 """30_row_cost: seconds over the cost of a row, its pages and its computations."""
 
 import importlib
+import itertools
 import json
 import re
 import sys
@@ -1638,7 +1639,7 @@ def test_ppo_for_seconds_is_an_older_setting_than_the_headlines():
         for name, job in jobs.items()
         if re.match(r"(go1|anymal_c)\..*ppo\d+$", name) and name != "go1.laptop.ppo512"
     ]
-    assert len(older) == 22
+    assert len(older) == 24
     for config in older:
         own = config.ppo.gamma, config.ppo.lambda_, config.ppo.desired_kl, config.rollout.horizon
         assert own == (0.97, 0.9, 0.03, 24) and not config.task.carry_on
@@ -1760,6 +1761,31 @@ def test_what_runs_again_is_as_before_on_new_seeds_and_as_its_rules_say():
         for name in again
     ]
     assert table.compared([*found, *new]) == table.compared(found)
+
+
+def test_a_row_of_more_physics_steps_is_as_long_and_its_rule_expects_what_is_computed():
+    """`fine` of next.md: the control step of `again-`, divided oftener; nothing else is otherwise."""
+    table, measure = script(f"{ROW_COST}/table"), script(f"{ROW_COST}/run")
+    lines = (EXPERIMENTS / ROW_COST / "jobs.txt").read_text().splitlines()
+    asked = {name: measure.read(job, fields) for name, job, *fields in map(str.split, lines)}
+    for steps, method in itertools.product((16, 32), ("best", "ppo2048")):
+        one, other = asked[f"go1.fine{steps}.{method}"], asked[f"go1.kernel.again-{method}"]
+        now, then = (config_fields.flat(x.config) for x in (one, other))
+        changed = {key for key in now if now[key] != then[key]}
+        assert changed == {"physics.substeps", "physics.timestep"}
+        assert now["physics.substeps"] == steps
+        length = [x["physics.substeps"] * x["physics.timestep"] for x in (now, then)]
+        assert length == pytest.approx([0.02, 0.02])
+        assert one[2:] == other[2:] and one.seeds == 5 and one.warmup == 2
+    found = table.runs()
+    best, ppos = table.settings(found, "go1.kernel")
+    (ppo,) = [x for x in ppos if x.method == "ppo2048"]
+    own, power = table.cost(found, best), table.power_of("go1.kernel")
+    cheap, dear = (
+        [table.later(x, own, ms, power).mean() for x in (best, ppo)] for ms in (0.5, 0.95)
+    )
+    told = "at 0.5 ms `best` takes {:.2f} s and PPO {:.2f}, which five seeds may not show, and at 0.95 ms "
+    assert told.format(*cheap) + "{:.2f} and {:.2f}, which they do.".format(*dear) in flat("next")
 
 
 def test_how_the_second_host_of_2026_11_29_ran_is_as_the_page_of_runs_says():
@@ -2126,7 +2152,7 @@ def test_jobs_of_the_row_costs_are_valid_and_of_places_that_have_a_name():
     measure = script(f"{ROW_COST}/run")
     places = script(f"{ROW_COST}/plot").LABELS
     lines = (EXPERIMENTS / ROW_COST / "jobs.txt").read_text().splitlines()
-    assert len({line.split()[0] for line in lines}) == len(lines) == 65
+    assert len({line.split()[0] for line in lines}) == len(lines) == 69
     for line in lines:
         name, job, *fields = line.split()
         place, _, method = name.rpartition(".")
