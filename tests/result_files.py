@@ -112,3 +112,29 @@ def fields_of(path):
         fields = dict(field.split("=", 1) for field in fields)
         found[name] = robot, {k: v for k, v in fields.items() if not k.startswith("run.")}
     return found
+
+
+def around(one, digits=1, words=""):
+    """4.8 times as long (3.7 to 7.0)"""
+    return "{:.{d}f}{} ({:.{d}f} to {:.{d}f})".format(one[0], words, *one[1:], d=digits)
+
+
+def of_host(table, host):
+    """The rows of its jobs: name -> seed -> rows."""
+    found = {}
+    for row in table.read():
+        if row["batch"] == host:
+            found.setdefault(row["name"], {}).setdefault(row["seed"], []).append(row)
+    return found
+
+
+def row_cost_words(name):
+    """A page of 30_row_cost in one line."""
+    return " ".join((EXPERIMENTS / ROW_COST / f"{name}.md").read_text().split())
+
+
+def headline(name):
+    """The line of a job of 21_less/headline.txt."""
+    lines = (EXPERIMENTS / "21_less/headline.txt").read_text().splitlines()
+    (line,) = [line for line in lines if line.split()[0] == name]
+    return f"{line} "

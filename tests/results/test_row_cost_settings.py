@@ -1,0 +1,615 @@
+"""30_row_cost: `best` with settings for seconds, slow first seeds, and what runs next by which rules."""
+
+import itertools
+import re
+
+import numpy as np
+import pytest
+from result_files import (
+    EXPERIMENTS,
+    ROW_COST,
+    around,
+    headline,
+    ours_of,
+    row_cost_words,
+    script,
+)
+from scipy import special
+from scipy import stats as scipy_stats
+
+from dynappo.config import fields as config_fields
+from experiments import paper, stats
+
+
+def test_the_grid_of_rounds_and_robots_of_a_go1_is_as_the_page_of_settings_says():
+    """`best` with our kernel on tuning seeds, on three hosts; two rounds with 4096 robots beside 2048, and
+    beside PPO of two other hosts."""
+    table = script(f"{ROW_COST}/table")
+    run = {one[1:3]: one for one in table.runs() if one.place == "go1.kernel"}
+    text, page = row_cost_words("settings"), (EXPERIMENTS / ROW_COST / "settings.md").read_text()
+    first, last = "H200, 2026-11-27", "H200, 2026-11-29, second host"
+    batches = {"A": first, "B": f"{first}, second host", "C": last}
+    hosts = (
+        "Host A is the first of 2026-11-27, B the second of that day, C the second of 2026-11-29."
+    )
+    assert hosts in text
+    where = {"A": ("r1", "r2", "r1n2048", "r2n2048"), "B": ("n512", "n2048")}
+    where["C"] = ("r1n512", "r2n512", "r1n4096", "r2n4096")
+    lines, level = [], {}
+    for host, names in where.items():
+        for name in names:
+            one = run[batches[host], f"tune-{name}"]
+            rounds = {"r1": "one", "r2": "two"}.get(name[:2], "three")
+            assert len(one.level) == 3 and (f"n{one.robots}" in name or one.robots == 1024)
+            cells = [table.interval(x) for x in (one.level[:, 2], one.walks[:, 2])]
+            if name == "r1n512":
+                assert [np.isfinite(x[:, 2]).sum() for x in (one.level, one.walks)] == [2, 2]
+                cells = [f"{cells[0]} (one of three never)", f"{cells[1]} (two of three)"]
+            else:
+                assert np.isfinite(one.level).all() and np.isfinite(one.walks).all()
+            steps = table.interval(one.level[:, 1] / 1e6)
+            lines.append(
+                f"| {rounds} | {one.robots} | {host} | {cells[0]} | {cells[1]} | {steps} |"
+            )
+            level[name] = np.nanmean(one.level[:, 2])
+    order = {"one": 1, "two": 2, "three": 3}
+    lines.sort(key=lambda x: (order[x.split()[1]], int(x.split()[3])))
+    assert "\n".join(lines) in page
+    tuned = [one for key, one in run.items() if key[1].startswith("tune-")]
+    assert (
+        len(tuned) == len(lines) == 10
+    )  # "three rounds with 1024 robots ... with 4096 they have not run"
+    few = [level[name] for name in level if name.endswith("n512")]
+    more = [level[name] for name in level if not name.endswith("n512")]
+    many, half = run[last, "tune-r2n4096"], run[first, "tune-r2n2048"]
+    small = run[last, "tune-r2n512"]
+    slow, fast = (
+        stats.difference(many.level[:, 2], run[batches[x], "ppo2048"].level[:, 2]) for x in "BA"
+    )
+    its = stats.difference(many.walks[:, 2], half.walks[:, 2])
+    longer = stats.difference(small.level[:, 2], many.level[:, 2])
+    level_gap = stats.difference(many.level[:, 2], half.level[:, 2])
+    ppo = [run[batches[x], "ppo2048"].level[:, 2].mean() for x in "BA"]
+    every = 10 * (many.level[:, 2] / many.level[:, 0]).mean()
+    assert {*many.level[:, 0]} == {40} and its.low < 0 < its.high and level_gap.low < 0
+    for words in (
+        f"the means are {min(more):.2f} to {max(more):.2f} s to the level, with 512 {min(few):.2f} to"
+        f" {max(few):.2f}.",
+        f"With two rounds 512 take {longer.value:.2f} s longer than 4096 ({longer.low:.2f} to"
+        f" {longer.high:.2f}, host C).",
+        f"**Two rounds with 4096 robots** take {level['r2n4096']:.2f} s, with 2048 {level['r2n2048']:.2f} on"
+        f" host A. No difference is shown ({level_gap.value:.2f} s more, {level_gap.low:.2f} to"
+        f" {level_gap.high:.2f})",
+        "for {}".format(
+            around(stats.ratio(many.level[:, 1], half.level[:, 1]), 1, " times the steps")
+        ),
+        f"they take {many.walks[:, 2].mean():.2f} s, not {half.walks[:, 2].mean():.2f}, which shows none"
+        f" either ({-its.value:.2f} less, {-its.high:.2f} to {-its.low:.2f})",
+        f"at iteration 40, and an evaluation came every {every:.2f} s, which the ±"
+        f" {stats.half_of(stats.moments(many.level[:, 2])):.2f} does not count",
+        f"takes {ppo[0]:.2f} s to the level on host B and {ppo[1]:.2f} on host A (five fresh seeds):"
+        f" {slow.value:.2f} s less than these {level['r2n4096']:.2f} ({slow.low:.2f} to {slow.high:.2f}), and"
+        f" {fast.value:.2f} ({fast.low:.2f} to {fast.high:.2f}). To a walk it takes",
+        "which is not shown. It did not run on host C.",
+    ):
+        assert words in text, words
+    walks = [
+        stats.difference(many.walks[:, 2], run[batches[x], "ppo2048"].walks[:, 2]) for x in "BA"
+    ]
+    its = [run[batches[x], "ppo2048"].walks[:, 2].mean() for x in "BA"]
+    assert walks[0].low > 0 > walks[1].low
+    own = many.walks[:, 2].mean()
+    for words in (
+        f"To a walk it takes {its[0]:.2f} and {its[1]:.2f} s: {walks[0].value:.2f} s less than these"
+        f" {own:.2f} ({walks[0].low:.2f} to {walks[0].high:.2f}), and {walks[1].value:.2f}"
+        f" ({walks[1].low:.2f} to {walks[1].high:.2f}), which is not shown.",
+        "(two rounds, 4096 robots, three tuning seeds) that is shown on one host of two.",
+    ):
+        assert words in text, words
+    words = "takes {:.2f} s on three tuning seeds of a third host: {:.2f} s more than those {:.2f} ({:.2f} to"
+    words += " {:.2f}), {:.2f} more than PPO on the second ({:.2f} to {:.2f})."
+    words = words.format(own, walks[1].value, its[1], *walks[1][1:], *walks[0])
+    assert f"To a walk the nearest, two rounds with 4096, {words}" in row_cost_words("README")
+    # beside PPO of both hosts, to the level and to a walk
+    gaps = {
+        one.method: [
+            stats.difference(one.level[:, 2], run[batches[x], "ppo2048"].level[:, 2]) for x in "AB"
+        ]
+        for one in tuned
+    }
+    never = {one.method for one in tuned if np.isnan(one.level).any()}
+    assert never == {"tune-r1n512"}
+    shown = {name for name, pair in gaps.items() if all(gap.low > 0 for gap in pair)} - never
+    assert shown == {
+        one.method for one in tuned if one.robots > 512 or one.method.startswith("tune-r2")
+    }
+    assert len(shown) == 8 and all(gap.value > 0 for pair in gaps.values() for gap in pair)
+    assert gaps["tune-n512"][1].low < 0
+    words = "({:.2f} s, {:.2f} to {:.2f}, host A)".format(*gaps["tune-n512"][0])
+    assert f"With 512 robots and three rounds it is not {words}; with one, a seed never" in text
+    others = [x for x in run.values() if x.method.startswith(("best", "tune-"))]
+    others = [x for x in others if x.batch in batches.values()]
+    assert len(others) == 14
+    assert all(np.nanmean(x.walks[:, 2]) > max(its) for x in others)
+    assert all(np.nanmean(x.level[:, 2]) > max(ppo) for x in others)
+    quick, beside = (run[batches["B"], x] for x in ("best-r2n2048", "ppo2048"))
+    gap = stats.difference(quick.walks[:, 2], beside.walks[:, 2])
+    words = f"walks {gap.value:.2f} s before two rounds ({gap.low:.2f} to {gap.high:.2f})."
+    assert f"PPO with 2048 robots is sooner than both, and {words}" in text
+    assert "(but three rounds with 4096), makes a tail pay to the level there." in row_cost_words(
+        "README"
+    )
+    assert not any(key[0] == last and key[1].startswith("ppo") for key in run)
+    assert not any("4096" in key[1] and key[1].startswith("best-") for key in run)
+    assert (min(more), min(x.walks[:, 2].mean() for x in tuned if x.robots > 512)) == (
+        level["r2n2048"],
+        many.walks[:, 2].mean(),
+    )
+    (never,) = [
+        row
+        for row in table.read()
+        if (row["batch"], row["name"], row["seed"], row["iteration"])
+        == (last, "go1.kernel.tune-r1n512", "2", "300")
+    ]
+    last_return, falls = float(never["return"]), 100 * float(never["fall_rate"])
+    words = f"by iteration 300: {last_return:.1f}, with falls in {falls:.1f} %."
+    assert words in row_cost_words("runs")
+    rows = {
+        n: sorted({x.row for x in tuned if x.batch == last and x.robots == n}) for n in (512, 4096)
+    }
+    found = table.runs()
+    for place, words in (
+        ("go1.kernel", "- **Break-even** would be at {} (host B, two rounds and 2048 robots)."),
+        ("g1.kernel", "- **Break-even** on a G1 would be at {}, which is what its row costs."),
+    ):
+        best, ppos = table.settings(found, place)
+        even = table.for_seconds(found, table.fastest(table.variants(found, best)), ppos)
+        at, _, spread = even.removeprefix("; for seconds ").partition(" ")
+        assert words.format(f"{float(at):.2f} ms {spread}") in text
+    words = "took {:.2f} ms with 512 robots and {:.2f} to {:.2f} with 4096."
+    assert words.format(rows[512][0], *rows[4096]) in row_cost_words("runs")
+    assert f"the {table.cost(table.runs(), many):.3f} ms of the table" in row_cost_words("runs")
+
+
+def test_settings_for_seconds_with_mujoco_warp_are_as_the_pages_say():
+    """Two settings with 2048 robots beside `best` on one host, PPO of two hosts; which day README.md has."""
+    table = script(f"{ROW_COST}/table")
+    found = table.runs()
+    run = {one[1:3]: one for one in found if one.place == "go1.warp"}
+    first, host = "H200, 2026-11-27", "H200, 2026-11-29, second host"
+    best, three, two, cut = (
+        run[host, x] for x in ("best", "best-n2048", "best-r2n2048", "ppo2048")
+    )
+    before, ppo = run[first, "best"], run[first, "ppo2048"]
+    assert [len(x.level) for x in (best, three, two, cut, before, ppo)] == [5, 5, 5, 2, 5, 5]
+    settings, page = (
+        row_cost_words("settings"),
+        (EXPERIMENTS / ROW_COST / "settings.md").read_text(),
+    )
+    lines = []
+    for label, one in (
+        ("three rounds, 2048 robots", three),
+        ("two rounds, 2048 robots", two),
+        ("`best`: three rounds, 1024 robots", best),
+        ("PPO, 2048 robots (two seeds)", cut),
+    ):
+        assert np.isfinite(one.walks).all()
+        cells = [
+            part
+            for some in (one.level, one.walks)
+            for part in (table.interval(some[:, 2]), f"{some[:, 1].mean() / 1e6:.2f}")
+        ]
+        lines.append(f"| {label} | " + " | ".join(cells) + " |")
+    assert "\n".join(lines) in page
+
+    def gap(one, other, goal="level"):
+        return stats.difference(*(getattr(x, goal)[:, 2] for x in (one, other)))
+
+    def times(one, other, column=2):
+        return stats.ratio(one.level[:, column], other.level[:, column])
+
+    def p(one, other, goal="level"):
+        return stats.welch_of(*(getattr(x, goal)[:, 2] for x in (one, other)))
+
+    def span(one, digits=2):
+        return "({:.{d}f} to {:.{d}f})".format(*one[1:], d=digits)
+
+    sooner = [gap(best, x) for x in (three, two)]
+    walk = [gap(best, x, "walks") for x in (three, two)]
+    values = [p(best, x) for x in (three, two)]
+    holm = 2 * min(values)
+    assert values[0] < 0.05 < holm and max(values) > 0.05 and sooner[0].low > 0 > sooner[1].low
+    assert all(one.low < 0 < one.high for one in walk)
+    both = before._replace(level=np.concatenate([best.level, before.level]))
+    ten = [gap(both, x) for x in (three, two)]
+    every = [10 * (x.level[:, 2] / x.level[:, 0]).mean() for x in (three, two, best)]
+    assert f"{every[1]:.2f}" == f"{every[2]:.2f}"
+    rows = [(x.level[:, 1] / x.robots).mean() for x in (three, two, best)]
+    longer = [times(ppo, x) for x in (three, two, best)]
+    more = times(ppo, three, 1)
+    for words in (
+        f"{sooner[0].value:.2f} s before `best` {span(sooner[0])[:-1]}, Welch's p {values[0]:.3f}):"
+        f" {around(times(three, best), 2, ' times the seconds')}, for"
+        f" {around(times(three, best, 1), 1, ' times the steps')}.",
+        f"for the two settings p is {holm:.3f}, so that they are faster is not shown.",
+        f"{sooner[1].value:.2f} s before `best` {span(sooner[1])[:-1]}, p {values[1]:.2f}):"
+        f" {around(times(two, best), 2, ' times the seconds')}, for"
+        f" {around(times(two, best, 1), 1, ' times the steps')}.",
+        f"Three rounds are {around(gap(two, three), 2, ' s before two')}.",
+        f"{ten[0].value:.2f} s sooner {span(ten[0])[:-1]}, p {p(both, three):.3f}) and two {ten[1].value:.2f}"
+        f" {span(ten[1])[:-1]}, p {p(both, two):.3f})",
+        f"on the first host of 2026-11-27, {both.level[:, 2].mean():.2f} s, three rounds",
+        f"{walk[0].value:.1f} s before `best` {span(walk[0], 1)[:-1]}, p {p(best, three, 'walks'):.2f}) with"
+        f" three rounds and {walk[1].value:.1f} {span(walk[1], 1)[:-1]}, p {p(best, two, 'walks'):.2f}) with"
+        " two.",
+        "three rounds need {:.0f} of 2048 robots, two {:.0f}, and `best` {:.0f} of 1024.".format(
+            *rows
+        ),
+        f"takes {ppo.level[:, 2].mean():.2f} s on the first host of 2026-11-27 (five seeds):"
+        f" {longer[0].value:.1f} times as long as three rounds with 2048 robots {span(longer[0], 1)}, for"
+        f" {around(more, 1, ' times the steps')}, {longer[1].value:.1f} times as long as two"
+        f" {span(longer[1], 1)} and {longer[2].value:.1f} times as long as `best` here {span(longer[2], 1)}.",
+        f"cut off after two seeds, after {cut.level[:, 2].mean():.2f} s",
+        f"take {every[0]:.2f} s until then with three rounds and 2048 robots, {every[1]:.2f} with two and"
+        " with `best`.",
+        f"a row of 2048 takes {two.row:.1f} ms, one of 1024 {best.row:.1f}.",
+        f"it takes {three.level[:, 2].mean():.2f} s to the level with 2048 robots, not"
+        f" {best.level[:, 2].mean():.2f}; corrected for both settings that ran, this is not shown to be"
+        " faster.",
+    ):
+        assert words in settings, words
+    assert f"so its {three.level[:, 2].mean():.2f} s are flattered a little." in settings
+    # the table's row keeps the day on which PPO has five seeds; `best` for seconds is beside these
+    chosen, ppos = table.settings(found, "go1.warp")
+    quick = table.fastest(table.variants(found, chosen))
+    assert (chosen, quick) == (before, three) and ppo in ppos and cut not in ppos
+    even = table.for_seconds(found, quick, ppos).removeprefix("; for seconds ")
+    assert (
+        f"Break-even would be at {even.replace(' (', ' ms (')}, beside PPO of 2026-11-27."
+        in settings
+    )
+    # seed by seed, by SciPy's test of pairs
+    pairs = [scipy_stats.ttest_rel(best.level[:, 2], x.level[:, 2]) for x in (three, two)]
+    spans = [one.confidence_interval(0.95) for one in pairs]
+    corrected = stats.holm([one.pvalue for one in pairs])
+    assert f"{corrected[0]:.3f}" == f"{corrected[1]:.3f}"
+    kernel = [
+        next(x for x in found if x[:3] == ("go1.kernel", batch, "best")).level[:, 2]
+        for batch in (first, f"{first}, second host")
+    ]
+    alike = [
+        np.corrcoef(*pair)[0, 1]
+        for pair in (
+            (before.level[:, 2], best.level[:, 2]),
+            (before.level[:, 0], best.level[:, 0]),
+            kernel,
+        )
+    ]
+    words = "three rounds are {:.2f} s sooner ({:.2f} to {:.2f}, paired t test, p {:.3f}) and two {:.2f}"
+    words += (
+        " ({:.2f} to {:.2f}, p {:.3f}), which Holm's correction would call shown (both {:.3f})."
+    )
+    cells = [
+        (gap.value, *span, one.pvalue) for gap, span, one in zip(sooner, spans, pairs, strict=True)
+    ]
+    assert words.format(*cells[0], *cells[1], corrected[0]) in settings
+    words = (
+        "(`best` twice on these: r {:.2f} of seconds, {:.2f} of iterations; with our kernel {:.2f};"
+    )
+    assert words.format(*alike) in settings
+    readme = row_cost_words("README")
+    words = "it takes {:.2f} s on another host, where `best` takes {:.2f}: {:.2f} s less {}, for {:.1f} times"
+    means = [x.level[:, 2].mean() for x in (three, best)]
+    ratio = times(three, best, 1).value
+    assert words.format(*means, sooner[0].value, span(sooner[0]), ratio) in readme
+    for words in (
+        f"It is the faster of two settings. Corrected for both, p is {holm:.3f}, so a difference is not",
+        f"on 2026-11-29 [PPO had two](runs.md#go1), and `best` took {means[1]:.2f} s.",
+        f"of `best` for seconds two of five ({cut.level[:, 2].mean():.1f} s)",
+        "two rounds with 2048 robots {:.2f} s, `best` {:.2f}, PPO {:.2f}; with MuJoCo Warp {:.2f} and"
+        " {:.2f};".format(
+            *(
+                next(x for x in found if x[:3] == key).level[:, 2].mean()
+                for key in (
+                    ("go1.kernel", f"{first}, second host", method)
+                    for method in ("best-r2n2048", "best", "ppo2048")
+                )
+            ),
+            *means,
+        ),
+    ):
+        assert words in readme, words
+    again, walked = gap(before, best), gap(best, before, "walks")
+    runs = row_cost_words("runs")
+    for words in (
+        f"**`best` again**: {table.interval(best.level[:, 2])} s to the level here,"
+        f" {table.interval(before.level[:, 2])} on 2026-11-27: {around(again, 2, ' s less')}.",
+        f"{best.walks[:, 2].mean():.2f} and {before.walks[:, 2].mean():.2f} s ({walked.value:.1f} s more,"
+        f" {walked.low:.1f} to {walked.high:.1f})",
+        "They take {:.2f} and {:.2f} s to the level.".format(*cut.level[:, 2]),
+    ):
+        assert words in runs, words
+    kernel = next(x for x in found if x[:3] == ("go1.kernel", first, "best"))
+    at = table.later(kernel, table.cost(found, kernel), best.row, table.power_of("go1.warp"))
+    slow, all_ten = (stats.difference(x.level[:, 2], at) for x in (best, both))
+    text = f"it took {table.interval(best.level[:, 2])} s: {slow.value:.2f} longer than computed"
+    text += f" {span(slow)}, and over all ten runs {all_ten.value:.2f} {span(all_ten)}."
+    assert text in row_cost_words("computed")
+    assert f"2048 robots (another host) it would be {even}." in row_cost_words("computed")
+
+
+def test_the_first_two_seeds_of_a_process_are_the_slow_ones_with_mujoco_warp():
+    """Whichever they are: `best-n2048` went on in a second process, which timed a row again."""
+    table = script(f"{ROW_COST}/table")
+    jobs = {}
+    for row in table.read():
+        if row["name"].split(".")[1] in ("warp", "exact"):
+            process = row["batch"], row["name"], row["row_ms"]
+            jobs.setdefault(process, {}).setdefault(row["seed"], []).append(row)
+    ms = {
+        key: {
+            seed: 1e3 * float(rows[-1]["seconds"]) / int(rows[-1]["iteration"])
+            for seed, rows in seeds.items()
+        }
+        for key, seeds in jobs.items()
+    }
+    some = {key: [*seeds.values()] for key, seeds in ms.items() if len(seeds) >= 3}
+    assert all(min(each[:2]) > max(each[2:]) for each in some.values())
+    more = {
+        name: [
+            100 * (np.mean(each[:2]) / np.mean(each[2:]) - 1)
+            for key, each in some.items()
+            if name in key[1]
+        ]
+        for name in (".best", ".ppo")
+    }
+    assert len(some) == sum(map(len, more.values()))
+    spans = [f"{min(x):.0f} to {max(x):.0f} %" for x in more.values()]
+    runs = row_cost_words("runs")
+    hosts = {7: "seven"}[len({key[0] for key in some})]
+    text = f"in all {len(some)} processes with that step and three seeds or more, on {hosts} hosts:"
+    assert f"{text} with `best` by {spans[0]}, with PPO by {spans[1]}." in runs
+    last = "H200, 2026-11-29, second host"
+    (alone,), again = (
+        seeds
+        for (batch, name, _), seeds in ms.items()
+        if (batch, name) == (last, "go1.warp.best-n2048")
+    )
+    assert alone == "1100" and [*again] == ["1101", "1102", "1103", "1104"]
+    values = [*again.values()]
+    words = "1101 and 1102 are the slow ones ({:.0f} and {:.0f} ms; {:.0f} to {:.0f})"
+    assert words.format(*values[:2], *sorted(values[2:])) in runs
+    (own,) = [seeds for key, seeds in ms.items() if key[:2] == (last, "go1.warp.best")]
+    values = [*own.values()]
+    words = (
+        "1100 and 1101 take {:.0f} and {:.0f} ms an iteration, the other three {:.0f} to {:.0f}."
+    )
+    assert words.format(*values[:2], min(values[2:]), max(values[2:])) in runs
+    (older,) = [x for key, x in jobs.items() if key[:2] == ("H200, 2026-11-27", "go1.warp.best")]
+    tails = []  # ms of iterations 11 to 150
+    for rows in older.values():
+        clock = {row["iteration"]: float(row["seconds"]) for row in rows}
+        tails.append(f"{(clock['150'] - clock['10']) / 0.14:.0f}")
+    words = "1100 and 1101 take {} and {} ms in each of the iterations 11 to 150, the other three {} to {}."
+    assert words.format(*tails[:2], min(tails[2:]), max(tails[2:])) in row_cost_words("computed")
+
+
+def test_the_first_two_seeds_are_a_little_slow_with_our_kernel_too():
+    """Of processes on H200s with three seeds or more: our kernel in a Go1's, a Go2's and a G1's; MJX-JAX."""
+    table, jobs = script(f"{ROW_COST}/table"), {}
+    for row in table.read():
+        if row["device"] == "NVIDIA H200" and not row.get("run"):
+            process = row["batch"], row["name"], row["row_ms"]
+            jobs.setdefault(process, {})[row["seed"]] = (
+                1e3 * float(row["seconds"]) / int(row["iteration"])
+            )
+    more = {}
+    for (batch, name, _), seeds in jobs.items():
+        ms, place = [*seeds.values()], name.rpartition(".")[0]
+        if len(ms) >= 3:
+            kind = "kernel" if place in ("go1.kernel", "g1.kernel", "go2.rough") else place
+            gain = 100 * (np.mean(ms[:2]) / np.mean(ms[2:]) - 1)
+            more.setdefault(kind, {})[batch, name] = gain
+    ours, jax = ([*more[kind].values()] for kind in ("kernel", "go1.jax"))
+    slow = sum(gain > 0 for gain in ours)
+    runs = row_cost_words("runs")
+    for words in (
+        f"in {slow} of {len(ours)} processes with three seeds or more, but less: in the median by"
+        f" {np.median(ours):.1f} %, at most by {max(ours):.1f}.",
+        f"With MJX-JAX it is {min(jax):.0f} to {max(jax):.0f} % (four processes).",
+    ):
+        assert words in runs, words
+    assert len(jax) == 4
+    day = "H200, 2026-11-27"
+    both = more["kernel"][day, "go1.kernel.best"], more["go1.warp"][day, "go1.warp.best"]
+    words = "take {:.0f} % longer an iteration than the others, here {:.0f}.".format(*both)
+    assert f"the first two of `best` {words}" in row_cost_words("computed")
+    # with that step by more than with our kernel, in the median
+    dear = [x for kind in more if kind not in ("kernel", "go1.jax") for x in more[kind].values()]
+    assert len(dear) == 22 and np.median(dear) > 2 * np.median(ours)
+
+
+def test_ppo_for_seconds_is_an_older_setting_than_the_headlines():
+    """Its flags in all jobs of a Go1 and an ANYmal-C on a GPU; the steps of both, and what `best` needs."""
+    table, measure = script(f"{ROW_COST}/table"), script(f"{ROW_COST}/run")
+    lines = (EXPERIMENTS / ROW_COST / "jobs.txt").read_text().splitlines()
+    jobs = {name: measure.read(job, fields) for name, job, *fields in map(str.split, lines)}
+    older = [
+        job.config
+        for name, job in jobs.items()
+        if re.match(r"(go1|anymal_c)\..*ppo\d+$", name) and name != "go1.laptop.ppo512"
+    ]
+    assert len(older) == 24
+    for config in older:
+        own = config.ppo.gamma, config.ppo.lambda_, config.ppo.desired_kl, config.rollout.horizon
+        assert own == (0.97, 0.9, 0.03, 24) and not config.task.carry_on
+        assert config.task.episode_length == 250  # 5 s
+        assert config.schedule.late_from > config.run.num_iterations  # its KL is never halved
+    _, job, *fields = headline("ppo-g").split()  # "It is `PPO` of 21_less"
+    pair = jobs["go1.kernel.ppo256"], measure.read(job, fields)
+    own, then = (config_fields.flat(one.config) for one in pair)
+    assert own == then | {key: own[key] for key in own if key.startswith("run.")}
+    found = table.runs()
+    best, ppos = table.settings(found, "go1.kernel")
+    few = table.sparing(ppos)
+    assert few.method == "ppo256"
+    steps, share = few.level[:, 1].mean() / 1e6, stats.ratio(few.level[:, 1], best.level[:, 1])
+    head = {name: ours_of(f"{name}-g").level for name in ("best", "ppo-level", "ppo-walk")}
+    ppo = [head[name].mean() / 1e6 for name in ("ppo-level", "ppo-walk")]
+    ratios = [stats.ratio(head[name], head["best"]).value for name in ("ppo-level", "ppo-walk")]
+    assert {len(some) for some in head.values()} == {10}
+    assert all(" rollout.num_envs=128 " in headline(f"{x}-g") for x in ("ppo-level", "ppo-walk"))
+    for words, page in (
+        (
+            f"need {ppo[1]:.1f} to {ppo[0]:.2f} M steps to the level on a Go1, this one {steps:.2f} with 256"
+            f" robots. So the ratio of steps of {share.value:.1f} here is not the headline's"
+            f" {ratios[1]:.1f} to {ratios[0]:.1f}.",
+            "README",
+        ),
+        (
+            f"need {ppo[0]:.2f} and {ppo[1]:.2f} M steps to the level on a Go1 (ten seeds each, 128 robots),"
+            f" `ppo256` here {steps:.2f}. So here PPO needs {share.value:.1f} times the steps of `best`,"
+            f" there [{ratios[0]:.1f} and {ratios[1]:.1f}]",
+            "runs",
+        ),
+    ):
+        assert words in row_cost_words(page), words
+    assert not any(x.method.endswith("-walk") for x in found)  # "have not run"
+
+
+def test_what_runs_again_is_as_before_on_new_seeds_and_as_its_rules_say():
+    """`again-` of next.md: the same settings but seeds and two that are thrown away; PPO to walk as the
+    headline's but robots and iterations; how likely what ran is to be shown; what no row takes."""
+    table, measure = script(f"{ROW_COST}/table"), script(f"{ROW_COST}/run")
+    lines = (EXPERIMENTS / ROW_COST / "jobs.txt").read_text().splitlines()
+    asked = {name: (job, fields) for name, job, *fields in map(str.split, lines)}
+    again = [name for name in asked if ".again-" in name]
+    assert len(again) == 8
+
+    def told(name):
+        job, fields = asked[name]
+        skipped = ("seeds=", "run.seed=", "warmup=")
+        return [job, *(x for x in fields if not x.startswith(skipped))]
+
+    for name in again:
+        read = measure.read(*asked[name])
+        count = 10 if name in ("go1.warp.again-best", "go1.warp.again-n2048") else 5
+        assert (read.seeds, read.warmup, read.config.run.seed) == (count, 2, 1110)
+        assert read.episodes == measure.EPISODES
+    for name, before in (
+        ("go1.warp.again-best", "go1.warp.best"),
+        ("go1.warp.again-n2048", "go1.warp.best-n2048"),
+        ("go1.warp.again-ppo2048", "go1.warp.ppo2048"),
+        ("go1.kernel.again-best", "go1.kernel.best"),
+        ("go1.kernel.again-ppo2048", "go1.kernel.ppo2048"),
+        ("go1.kernel.again-r2n4096", "go1.kernel.tune-r2n4096"),
+    ):
+        assert told(name) == told(before)
+    _, job, *fields = headline("ppo-walk-g").split()
+    then = config_fields.flat(measure.read(job, fields).config)
+    for place in ("kernel", "warp"):
+        read = measure.read(*asked[f"go1.{place}.again-ppo2048-walk"])
+        now = config_fields.flat(read.config)
+        other = {key for key in now if now[key] != then[key] and not key.startswith("run.")}
+        assert other == {"rollout.num_envs", "schedule.late_from"}
+        assert now["schedule.late_from"] >= now["run.num_iterations"]  # never halved
+        assert then["schedule.late_from"] * 128 * 24 / 1e6 == pytest.approx(1.5, abs=0.03)
+        half = then["schedule.late_from"] * 128 / 2048
+        assert (now["ppo.lambda_"], now["ppo.desired_kl"]) == (0.85, 0.04)
+    rows = table.read()
+    had = {int(x["seed"]) for x in rows if x["job"].startswith("go1")}
+    assert not had & {*range(1110, 1120)}
+    page = row_cost_words("next")
+    assert f"With 2048 robots that is iteration {half:.0f}, long before `ppo2048`" in page
+    # all that has not run is named, and nothing else
+    ran = {(x["name"], x["seed"]) for x in rows}
+    left = set()
+    for name, (job, fields) in asked.items():
+        read = measure.read(job, fields)
+        first = read.config.run.seed
+        if any((name, str(seed)) not in ran for seed in range(first, first + read.seeds)):
+            left.add(name)
+    text = (EXPERIMENTS / ROW_COST / "next.md").read_text()
+    commands = [x.split()[2:] for x in text.splitlines() if x.startswith("    python $J")]
+    named = [name for some in commands for name in paper.chosen(asked, some)]
+    assert len(named) == len(set(named)) and left <= {*named}
+    # and on one host once more
+    assert {*named} - left == {"go2.rough.best-r1e3", "go2.rough.best"}
+    # how likely ten seeds are to show what five showed
+    found = table.runs()
+    run = {one[1:3]: one for one in found if one.place == "go1.warp"}
+    last = "H200, 2026-11-29, second host"
+    one, other = (run[last, x].level[:, 2] for x in ("best", "best-n2048"))
+    more = (stats.moments(x)._replace(n=10) for x in (one, other))
+    t, df, _ = stats.welch(*more)
+    nct, least = scipy_stats.nct, special.stdtrit(df, 0.975)
+    power = 1 - nct.cdf(least, df, t) + nct.cdf(-least, df, t)
+    assert f"it is shown in {100 * power:.0f} of 100 such runs" in page
+    ppo = next(x for x in found if x[:3] == ("go1.kernel", "H200, 2026-11-27", "ppo2048"))
+    assert f"before `ppo2048` was at its level ({ppo.level[:, 0].mean():.0f})" in page
+    # no row of README.md takes them
+    day = "H200, 2026-12-24"
+    new = [
+        ppo._replace(batch=day, method=name.rpartition(".")[2], place=name.rpartition(".")[0])
+        for name in again
+    ]
+    assert table.compared([*found, *new]) == table.compared(found)
+
+
+def test_a_row_of_more_physics_steps_is_as_long_and_its_rule_expects_what_is_computed():
+    """`fine` of next.md: the control step of `again-`, divided oftener; nothing else is otherwise."""
+    table, measure = script(f"{ROW_COST}/table"), script(f"{ROW_COST}/run")
+    lines = (EXPERIMENTS / ROW_COST / "jobs.txt").read_text().splitlines()
+    asked = {name: measure.read(job, fields) for name, job, *fields in map(str.split, lines)}
+    for steps, method in itertools.product((16, 32), ("best", "ppo2048")):
+        one, other = asked[f"go1.fine{steps}.{method}"], asked[f"go1.kernel.again-{method}"]
+        now, then = (config_fields.flat(x.config) for x in (one, other))
+        changed = {key for key in now if now[key] != then[key]}
+        assert changed == {"physics.substeps", "physics.timestep"}
+        assert now["physics.substeps"] == steps
+        length = [x["physics.substeps"] * x["physics.timestep"] for x in (now, then)]
+        assert length == pytest.approx([0.02, 0.02])
+        assert one[2:] == other[2:] and one.seeds == 5 and one.warmup == 2
+    found = table.runs()
+    best, ppos = table.settings(found, "go1.kernel")
+    (ppo,) = [x for x in ppos if x.method == "ppo2048"]
+    own, power = table.cost(found, best), table.power_of("go1.kernel")
+    cheap, dear = (
+        [table.later(x, own, ms, power).mean() for x in (best, ppo)] for ms in (0.5, 0.95)
+    )
+    told = "at 0.5 ms `best` takes {:.2f} s and PPO {:.2f}, which five seeds may not show, and at 0.95 ms "
+    assert told.format(*cheap) + "{:.2f} and {:.2f}, which they do.".format(
+        *dear
+    ) in row_cost_words("next")
+
+
+def test_how_the_second_host_of_2026_11_29_ran_is_as_the_page_of_runs_says():
+    """Which jobs, seeds and commit; that all were evaluated as often."""
+    table, last = script(f"{ROW_COST}/table"), "H200, 2026-11-29, second host"
+    rows = [row for row in table.read() if row["batch"] == last]
+    seeds, ends = {}, {}
+    for row in rows:
+        name = row["name"].removeprefix("go1.")
+        seeds.setdefault(name, {})[int(row["seed"])] = None
+        ends.setdefault(name, set()).add(int(row["iteration"]))
+    few, fresh = [0, 1, 2], [*range(1100, 1105)]
+    assert {name: [*some] for name, some in seeds.items()} == {
+        **{f"kernel.tune-{x}": few for x in ("r1n4096", "r1n512", "r2n4096", "r2n512")},
+        **{f"warp.{x}": fresh for x in ("best", "best-n2048", "best-r2n2048")},
+        "warp.ppo2048": fresh[:2],
+    }
+    assert all(some == {*range(10, max(some) + 1, 10)} for some in ends.values())
+    assert {row["commit"][:8] for row in rows} == {"724e00df"}
+    assert {row["device"] for row in rows} == {"NVIDIA H200"}
+    jobs = (EXPERIMENTS / ROW_COST / "jobs.txt").read_text().splitlines()
+    asked = {f"{row['name']} {row['job']}" for row in rows}
+    assert asked <= {*jobs} and not any("episodes=" in job for job in asked)
+    runs = row_cost_words("runs")
+    for words in (
+        "one and two rounds with 512 and 4096 robots (seeds 0 to 2)",
+        "`best` with 2048 robots and three or two rounds (`best-n2048`, `best-r2n2048`), `best`, and PPO with"
+        " 2048 robots (1100 to 1104).",
+        "commit 724e00df. The flags are those of `jobs.txt`; evaluated every 10 iterations on 500 episodes",
+        "**PPO was cut off** after two of five seeds",
+    ):
+        assert words in runs, words
