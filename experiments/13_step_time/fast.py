@@ -24,15 +24,14 @@ row_cost = importlib.import_module("experiments.30_row_cost.table")
 HERE = Path(__file__).parent
 ENGINES = {"kernel": "our kernel", "warp": "MuJoCo Warp"}
 METHODS = ("ppo16", "fast", "dyna4")
-COUNTED = ("iteration", "sim_steps", "seconds")
+
 LATE = 100  # from this iteration on the schedule of a tail changes nothing
-HORIZON = 16
 
 
 class Timed(NamedTuple):
     """The seeds of a job."""
 
-    level: np.ndarray  # [S, 3] as COUNTED; the whole run of a seed that never gets there
+    level: np.ndarray  # [S, 3] as row_cost.COUNTED; the whole run of a seed that never gets there
     there: np.ndarray  # [S] whether it does
     walks: np.ndarray  # [S, 3]; NaN: never
     clock: np.ndarray  # [S, E + 1, 2]: iteration and seconds, from 0 on
@@ -58,11 +57,10 @@ def read(folder: Path) -> dict[tuple[str, str], Timed]:
 
 
 def timed(rows: list[dict[str, str]]) -> Timed:
-    seeds = [
-        [row for row in rows if row["seed"] == seed] for seed in {row["seed"]: 0 for row in rows}
-    ]
+    names = dict.fromkeys(row["seed"] for row in rows)
+    seeds = [[row for row in rows if row["seed"] == name] for name in names]
     level, walks = np.array([row_cost.reached(each) for each in seeds]).transpose(1, 0, 2)
-    ends = np.array([[float(each[-1][name]) for name in COUNTED] for each in seeds])
+    ends = np.array([[float(each[-1][name]) for name in row_cost.COUNTED] for each in seeds])
     clock = [
         [(0.0, 0.0), *((float(row["iteration"]), float(row["seconds"])) for row in each)]
         for each in seeds
@@ -108,7 +106,7 @@ def compared(found) -> str:
         if method != "ppo16":
             other = found[engine, "ppo16"].level
             iterations, steps, seconds = (
-                stats.ratio(one.level[:, k], other[:, k]) for k in range(len(COUNTED))
+                stats.ratio(one.level[:, k], other[:, k]) for k in range(len(row_cost.COUNTED))
             )
             every = [seconds, iterations, steps, paired(one.level[:, 2], other[:, 2])]
             lines.append([ENGINES[engine], f"`{method}`", *map(around, every)])
@@ -131,9 +129,10 @@ def phases(found) -> str:
     head = ["ms", "", "real rows", "tail", "fit", "PPO", "sum", f"clock, after {LATE}"]
     lines = []
     for (engine, method), one in found.items():
-        real = int(schedule.columns(configured(method, one))["n_real"][-1])
-        p = one.phases
-        every = [real * p["row_ms"], (HORIZON - real) * p["tail_ms"], p["fit_ms"], p["ppo_ms"]]
+        config, p = configured(method, one), one.phases
+        real = int(schedule.columns(config)["n_real"][-1])
+        tail = config.rollout.horizon - real
+        every = [real * p["row_ms"], tail * p["tail_ms"], p["fit_ms"], p["ppo_ms"]]
         cells = [f"{x:.2f}" if x else "" for x in every]
         clock = f"{ms(one, LATE).mean():.2f}"
         lines.append([ENGINES[engine], f"`{method}`", *cells, f"{sum(every):.2f}", clock])

@@ -1,17 +1,16 @@
 """The best of tuned settings, as a list of jobs on fresh seeds. The rule for a walk is older than the runs.
 
     python experiments/21_less/choose.py FOLDER JOBS.txt FRESH.txt [--seed 1200] [--num-seeds 10] [--level]
-        [--returns 30 20] [--earlier EARLIER.txt RUNS.csv.xz] [--beyond LATER.txt] [--episodes 1000]
-        [--as-often]
+        [--returns 30 20] [--beyond LATER.txt] [--episodes 1000] [--as-often]
 
 FOLDER is what run.py made of JOBS.txt; every job must have run. Of the settings of a robot, the best is the
 one with the fewest simulator steps until it walks (dynappo/policy/walks.py), mean over seeds; a seed that
-never walks counts with twice all its steps. FRESH.txt gets that setting of each robot, as `walks-NAME`,
-with other seeds, and an evaluation of 1000 episodes twice as often. `--level`: steps to the level decide,
-whatever the falls, and the name is `level-NAME`. `--returns`: with `--level`, that of a return of 45, and of
-one of 30. `--earlier`: settings that ran before, in a packed file, compete where JOBS.txt has that robot and
-variant. `--beyond`: settings that ran later compete with those of JOBS.txt, and FRESH.txt gets the best of a
-robot only if it is one of them. `--as-often`: evaluated as often as in tuning.
+never walks counts with twice all its steps. FRESH.txt gets that setting of each robot, as `walks-NAME`, with
+other seeds, and an evaluation of 1000 episodes twice as often. `--level`: steps to the level decide, whatever
+the falls, and the name is `level-NAME`. `--returns`: with `--level`, that of a return of 45, and of one of
+30. `--beyond`: settings that ran later compete with those of JOBS.txt, and FRESH.txt gets the best of a robot
+only if it is one of them. `--as-often`: evaluated as often as in tuning. Runs that compete must be equally
+long, and evaluated as often: a seed that never gets there counts with its own run.
 """
 
 import importlib
@@ -34,7 +33,7 @@ def main():
     parser.add_argument("--num-seeds", type=int, default=10)
     parser.add_argument("--level", action="store_true")
     parser.add_argument("--returns", type=float, nargs=2, metavar=("OF_45", "OF_30"))
-    parser.add_argument("--earlier", type=Path, nargs=2, metavar=("EARLIER.txt", "RUNS.csv.xz"))
+
     parser.add_argument("--beyond", type=Path, metavar="LATER.txt")
     parser.add_argument("--episodes", type=int, default=1000)
     parser.add_argument("--as-often", action="store_true")
@@ -45,11 +44,7 @@ def main():
         )
     later = paper.jobs(args.beyond) if args.beyond else {}
     jobs, found = paper.jobs(args.jobs) | later, table.read(args.folder)
-    if args.earlier:
-        robots = {line.split()[0] for line in jobs.values()}
-        before = paper.jobs(args.earlier[0]).items()
-        before = {name: line for name, line in before if line.split()[0] in robots}
-        jobs, found = before | jobs, table.read(args.earlier[1]) | found
+
     if missing := [name for name in jobs if name not in found]:
         raise SystemExit(f"{args.folder} lacks {', '.join(missing)}; run them first")
     if other := [name for name, line in jobs.items() if found[name][0]["job"] != line]:

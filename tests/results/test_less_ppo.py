@@ -473,31 +473,20 @@ def test_best_setting_is_the_one_that_walks_soonest_and_never_counts_twice(tmp_p
     assert [line[:2] for line in lines] == [["walks-b", "go1:best"], ["walks-c", "go2:best"]]
     expected = {"run.seed=1200", "run.num_seeds=10", "run.eval_every=10", "run.eval_envs=1000"}
     assert all(set(line[2:]) == expected for line in lines)
-    # beside settings that ran before, of that robot and variant alone; by another return; as often
-    plain, packed = sys.argv[:4], tmp_path / "before.csv.xz"
-    (tmp_path / "before").mkdir()
-    for name in "bc":
-        (tmp_path / f"{name}.csv").rename(tmp_path / f"before/{name}.csv")
-    monkeypatch.setattr(sys, "argv", ["pack.py", str(packed), "1", str(tmp_path / "before")])
-    script("21_less/pack").main()
-    path.write_text(f"a {jobs['a']}\n")
-    (earlier := tmp_path / "earlier.txt").write_text(f"b {jobs['b']}\nc {jobs['c']}\n")
-    words = ["--earlier", str(earlier), str(packed), "--as-often", "--episodes", "200"]
-    monkeypatch.setattr(sys, "argv", [*plain, *words])
+    # as often as in tuning; by another return
+    path.write_text(f"b {jobs['b']}\n")
+    monkeypatch.setattr(sys, "argv", [*sys.argv, "--as-often", "--episodes", "200"])
     choose.main()
     (line,) = fresh.read_text().splitlines()
     assert line.split()[0] == "walks-b" and "run.eval_every=20" in line
     assert "run.eval_envs=200" in line
-    job = script("21_less/table").read(packed)["b"]
+    plain, job = sys.argv[:4], script("21_less/table").read(tmp_path)["b"]
     costs = [choose.cost(job, "level", asked) for asked in (None, (40.0, 99.0), (40.5, 0.0))]
     assert costs == [1e6, 1e6, 6e6]  # a return of 40 from 1 M steps on, of 3
     monkeypatch.setattr(sys, "argv", [*plain, "--returns", "41", "24"])
     with pytest.raises(SystemExit, match="^--returns is given without --level"):
         choose.main()
-    for name in "bc":
-        (tmp_path / f"before/{name}.csv").rename(tmp_path / f"{name}.csv")
     monkeypatch.setattr(sys, "argv", plain)
-
     # of later settings, a best one alone
     path.write_text(f"a {jobs['a']}\nc {jobs['c']}\n")
     (later := tmp_path / "later.txt").write_text(f"b {jobs['b']}\n")
