@@ -98,6 +98,12 @@ def column(job, name):
     return np.array([[float(row[name]) for row in rows] for rows in job.values()])
 
 
+def reached_of(job, level):
+    """Steps of each seed of a job of run.py to a return."""
+    table, _ = less("ppo")
+    return table.reached(table.seeds(job), level).level
+
+
 def ours_of(name, results="headline"):
     """Steps of a job of the headline, or of another file."""
     table, jobs = less(results)

@@ -4,7 +4,6 @@ import csv
 import functools
 import json
 import lzma
-import math
 import re
 
 import numpy as np
@@ -13,14 +12,12 @@ from result_files import (
     DEPLOY,
     EXPERIMENTS,
     HUMANOID,
-    LESS,
-    LETTERS,
     ROOT,
-    ROW_COST,
     cells,
     column,
     less,
     packed,
+    reached_of,
     script,
     shows,
 )
@@ -29,195 +26,6 @@ from dynappo import config as config_lib
 from dynappo import schedule
 from dynappo.policy import policy_source, walks
 from experiments import paper, stats
-
-
-def test_the_table_of_ppo_on_hardware_and_the_exact_task_is_that_of_its_runs():
-    """Every job of ppo_others.txt to its end; beside `best` of the exact task, and today's `deploy`."""
-    choose, (table, jobs) = script("21_less/choose"), less("ppo")
-    asked = paper.jobs(LESS / "ppo_others.txt")
-    robot_of = {letter: robot for robot, letter in LETTERS.items()}
-    part = (LESS / "ppo.md").read_text().split("## Hardware and the exact task\n")[1]
-    shown = [
-        cells(line) for line in part.splitlines() if line.startswith(("| exact", "| `deploy`"))
-    ]
-    assert len(shown) == len(asked) == 10
-    for name, line in asked.items():
-        job, (task, robots, letter) = jobs[name], name.split("-")
-        assert job[0]["job"] == line and {row["batch"] for row in job} == {
-            "7" if letter == "c" else "6"
-        }
-        assert job[-1]["iteration"] == float(re.search(r"num_iterations=(\d+)", line)[1])
-        row = cells(table.table({name: job}, table.best(job)).splitlines()[-1])
-        label = f"{task if task == 'exact' else '`deploy`'}, {robot_of[letter]}, {robots} robots"
-        assert [label, *row[5:8], row[3], row[2], *row[9:11]] in shown, name
-    words = " ".join(part.split())
-    # the exact task
-    costs = script(f"{ROW_COST}/table")
-    mine = {
-        one.place: one
-        for one in costs.runs()
-        if one[1:3] == ("H200, 2026-11-28", "best") and one.place.endswith("exact")
-    }
-    go1, anymal = mine["go1.exact"], mine["anymal_c.exact"]
-    more = []
-    for best, name, level in ((go1, "exact-256-g", 38), (anymal, "exact-256-c", 24)):
-        more.append(stats.ratio(reached_of(jobs[name], level), best.level[:, 1]))
-        assert choose.cost(jobs[name], "level") < choose.cost(
-            jobs[name.replace("256", "512")], "level"
-        )
-    text = "{:.1f} times the steps of `best` on a Go1 ({:.1f} to {:.1f}) and {:.1f} times on an ANYmal-C"
-    assert f"{text} ({{:.1f}} to {{:.1f}})".format(*more[0], *more[1]) in words
-    steps = [one.level[:, 1].mean() / 1e6 for one in (go1, anymal)]
-    assert "which need {:.2f} and {:.2f} M".format(*steps) in words
-    other = " ".join((EXPERIMENTS / ROW_COST / "runs.md").read_text().split())
-    text = (
-        "three tuning seeds, {:.1f} ({:.1f} to {:.1f}) and {:.1f} times ({:.1f} to {:.1f}) those of"
-    )
-    assert text.format(*more[0], *more[1]) in other
-    fewest = [reached_of(jobs[f"exact-256-{x}"], y).mean() / 1e6 for x, y in (("g", 38), ("c", 24))]
-    assert "it needs [{:.2f} and {:.2f} M".format(*fewest) in other
-    for letter, robots in (("g", "256"), ("c", "512")):  # that the rule takes
-        cost = {n: choose.cost(jobs[f"exact-{n}-{letter}"]) for n in ("256", "512")}
-        assert min(cost, key=cost.get) == robots
-    walked = table.reached(table.seeds(jobs["exact-512-c"]), 24).walks
-    text = "after {:.1f} times the steps of `best` ({:.1f} to {:.1f})"
-    assert text.format(*stats.ratio(walked, anymal.walks[:, 1])) in words
-    assert np.isfinite(go1.walks[:, 1]).sum() == 2 and f"{go1.end / 1e6:.1f}" == "2.7"
-    # hardware
-    today = table.read(DEPLOY / "deploy.csv.xz", "4")
-    then = table.read(DEPLOY / "deploy.csv.xz", "1")
-    go1, anymal = today["go1-bundled"], today["anymal_c-bundled"]
-    oftener = {x: fewer(f"fresh-deploy-{x}") for x in "gc"}  # five other seeds of `deploy`
-    ends = sorted({row["sim_steps"] / 1e6 for row in anymal})
-    at = 1e6 * ends[0]  # where the older five are evaluated first
-    firsts, gaps = {}, {}
-    for name in asked:
-        top = 30 if name.endswith("g") else 15
-        firsts[name] = reached_of(jobs[name], top) / 1e6
-    for name in [name for name in asked if name.startswith("deploy")]:
-        job = go1 if name[-1] == "g" else anymal
-        mine, its = (table.between(one, at, "return") for one in (job, jobs[name]))
-        difference = stats.difference(mine, its), stats.welch_of(mine, its)
-        gaps[name] = (mine.mean(), its.mean(), *difference)
-    near = {x: [gaps[f"deploy-{n}-{x}"] for n in (256, 512, 1024)] for x in "gc"}
-    most = {x: max(some, key=lambda one: one[1]) for x, some in near.items()}
-    assert all(one is near[x][0] for x, one in most.items())  # with 256 robots
-    text = "a Go1 of `deploy` returns {:.1f}, PPO at most {:.1f} with any of the three numbers of robots"
-    text += " ({:.1f} less, {:.1f} to {:.1f})"
-    assert text.format(*most["g"][:2], *most["g"][2]) in words
-    text = "an ANYmal-C {:.1f} and at most {:.1f} ({:.1f} less, {:.1f} to {:.1f}, p {:.3f}, uncorrected)"
-    assert text.format(*most["c"][:2], *most["c"][2], most["c"][3]) in words
-    assert all(one[2].low > 0 for some in near.values() for one in some)
-    soonest = {
-        x: min((256, 512, 1024), key=lambda n, x=x: np.nanmean(firsts[f"deploy-{n}-{x}"]))
-        for x in "gc"
-    }
-    assert {*soonest.values()} == {256}
-    ppo = [np.nanmean(firsts[f"deploy-256-{x}"]) for x in "gc"]
-    assert [np.isfinite(firsts[f"deploy-256-{x}"]).sum() for x in "gc"] == [2, 2]
-    told = "its soonest setting, 256 robots, after {:.1f} and {:.1f} (two of three seeds each;"
-    assert told.format(*ppo) in words
-    # five other seeds of `deploy`, evaluated oftener
-    others = [table.between(job, at, "return").mean() for job in oftener.values()]
-    assert f"After {at / 1e6:.1f} M a Go1" in words
-    assert "return {:.1f} and {:.1f} there.".format(*others) in words
-    begin, p = [], []
-    for x, level in (("g", 30), ("c", 15)):
-        mine = reached_of(oftener[x], level) / 1e6
-        its = [firsts[f"deploy-{n}-{x}"] for n in (256, 512, 1024)]
-        begin.append((mine.mean(), mine.max(), np.nanmin(its)))
-        assert mine.max() < np.nanmin(its) and (len(mine), len(its[0])) == (5, 3)
-        p.append(
-            2 / math.comb(8, 3)
-        )  # all of five before all of three; two-sided, as if without ties
-        assert stats.rank_sum(mine, its[0]) <= p[-1]
-    assert f"{begin[0][1]:.2f}" == f"{begin[1][1]:.2f}" and p[0] == p[1]
-    told = f"are at 30 after {begin[0][0]:.2f} M and at 15 after {begin[1][0]:.2f}, the last of each by"
-    told += f" {begin[0][1]:.2f}. The soonest of PPO's nine runs on each robot is there after"
-    told += f" {begin[0][2]:.1f} and {begin[1][2]:.1f}"
-    luck = f"p {p[0]:.3f} each; looked for afterwards)"
-    assert f"{told} M, its soonest setting" in words and f"rank test beside it: {luck}" in words
-    both = f"{told} M (rank test beside PPO's soonest setting, 256 robots: {luck}."
-    twenty = reached_of(oftener["c"], 20) / 1e6
-    text = "is at 20 after {:.1f} M steps (first to last seed {:.1f} to {:.1f})."
-    assert text.format(twenty.mean(), twenty.min(), twenty.max()) in words
-    its = np.concatenate([reached_of(jobs[f"deploy-{n}-c"], 20) for n in (256, 512, 1024)]) / 1e6
-    assert [np.isfinite(its[k : k + 3]).sum() for k in (0, 3, 6)] == [0, 1, 2]
-    text = f"1024, after {np.nanmin(its):.1f} to {np.nanmax(its):.1f}; the other six do not"
-    assert f"three of nine runs, one with 512 robots and two with {text}" in words
-    gaps = {}
-    for name in [name for name in asked if name.startswith("deploy")]:
-        end = jobs[name][-1]["sim_steps"]
-        pair = [table.between(job, end, "return") for job in (jobs[name], oftener[name[-1]])]
-        gaps[name] = (end / 1e6, *(x.mean() for x in pair), *stats.difference(*pair)[1:])
-        assert gaps[name][-2] < 0 < gaps[name][-1]
-    at, its, mine, low, high = gaps["deploy-1024-c"]
-    text = (
-        f"no difference is shown: with 1024 robots after {at:.1f} M {its:.1f}, `deploy` {mine:.1f},"
-    )
-    text += f" {its - mine:.2f} less ({high:.2f} less to {-low:.2f} more);"
-    for robots in (512, 256):
-        text += " with {} after {:.1f} M {:.1f} and {:.1f};".format(
-            robots, *gaps[f"deploy-{robots}-c"][:3]
-        )
-    assert text[:-1] + "." in words
-    pair = [
-        table.between(job, jobs["deploy-1024-c"][-1]["sim_steps"], "return")
-        for job in (jobs["deploy-1024-c"], anymal)
-    ]
-    text = "by the older five seeds, {:.2f} less ({:.2f} to {:.2f}, uncorrected)"
-    assert text.format(*stats.difference(*pair)) in words
-    assert f"evaluations {(ends[3] - ends[2]):.0f} M apart" in words
-    text = "is at 35 after {:.1f} M, PPO with 256 robots in two runs of three after {:.1f};"
-    its = reached_of(jobs["deploy-256-g"], 35) / 1e6
-    numbers = (reached_of(oftener["g"], 35) / 1e6).mean(), np.nanmean(its)
-    assert text.format(*numbers) in words and np.isnan(its).sum() == 1
-    assert config_lib.load("anymal_c:deploy").physics.iterations == 10
-    old = reached_of(then["go1"], 30).mean() / 1e6, reached_of(then["anymal_c"], 20).mean() / 1e6
-    assert "was at 30 after {:.1f} M, and an ANYmal-C at 20 after {:.1f}.".format(*old) in words
-    config = config_lib.validate(config_lib.load("anymal_c:deploy"))
-    thousand = config.rollout.num_envs * config.rollout.horizon / 1e3
-    assert f"From iteration {config.schedule.last_iteration} on `deploy` has no tail" in words
-    assert f"{thousand:.0f} thousand steps an iteration" in words
-    assert config.ppo.late_kl == 1.0  # so no run of PPO halves its KL there
-    ended = [
-        np.mean([run[-1]["return"] for run in table.seeds(job)])
-        for job in (oftener["c"], then["anymal_c"])
-    ]
-    assert f"ends at {ended[0]:.1f} after {ends[-1]:.1f} M" in words
-    assert f"ended at {ended[1]:.1f}" in words
-    # the same on the page of hardware
-    page = " ".join((DEPLOY / "README.md").read_text().split())
-    results = " ".join((ROOT / "docs/results.md").read_text().split())
-    early = most["g"][0], most["c"][0], most["g"][1], most["c"][1]
-    tuning = [fewer_at(f"fewer-deploy-{x}", 1.769472) for x in "gc"]  # the evaluation nearest to it
-    means = [x.mean() for x in tuning]
-    fresh = "a Go1 returns {:.1f} and an ANYmal-C {:.1f} (five fresh seeds; three tuning seeds {:.1f} and"
-    fresh += " {:.1f}"
-    text = (
-        fresh
-        + ", single ANYmal-C {:.1f} to {:.1f}), with PPO at most {:.1f} and {:.1f}, with 256, 512"
-    )
-    assert text.format(*early[:2], *means, min(tuning[1]), max(tuning[1]), *early[2:]) in page
-    text = fresh + "), with PPO alone at most {:.1f} and {:.1f}. Later"
-    assert text.format(*early[:2], *means, *early[2:]) in results
-    assert f"Five other seeds of `deploy`, evaluated oftener, {both}" in page
-    text = f"an ANYmal-C takes {twenty.mean():.1f} M steps to 20"
-    assert text in page and text in results
-    assert f"{text} (five seeds, the soonest {twenty.min():.1f})." in page
-    assert "three of nine runs take 14 to 19, and the others" in results
-    assert "are not there by their ends, at 9.2 to 19.7 M" in page
-    many = [np.nanmean(firsts[f"deploy-{n}-{x}"]) for x in "gc" for n in (256, 512, 1024)]
-    text = "256 robots reach 30 after {:.1f} M steps, 512 after {:.1f}, 1024 after {:.1f}, in the mean of the"
-    text += " seeds that get there. On an ANYmal-C they reach 15 after {:.1f} (one of three never), {:.1f}"
-    text += " and {:.1f}"
-    assert text.format(*many) in page
-
-
-def reached_of(job, level):
-    """Steps of each seed to a return."""
-    table, _ = less("ppo")
-    return table.reached(table.seeds(job), level).level
 
 
 def test_the_table_of_feet_lifted_by_and_by_is_that_of_its_runs():
@@ -820,21 +628,14 @@ def test_what_longer_tails_save_on_fresh_seeds_is_that_of_their_runs():
     ]
     told = "A Go1 and a Go2 are {:.3f} and {:.3f} m/s off at their last evaluation, with `deploy` after as"
     assert (told + " many steps {:.3f} and {:.3f}.").format(*off) in text
-    # PPO
+    # PPO; its fresh seeds are in test_less_ppo_tasks.py
     jobs = less("ppo")[1]
-    its = [reached_of(jobs[f"deploy-{n}-c"], 20) / 1e6 for n in (256, 512, 1024)]
-    its = np.concatenate(its)
+    its = np.concatenate([reached_of(jobs[f"deploy-{n}-c"], 20) / 1e6 for n in (256, 512, 1024)])
     there = its[~np.isnan(its)]
     assert (len(its), len(there)) == (9, 3)
-    told = "an ANYmal-C is at 20 after {:.1f} to {:.1f} M in three of nine runs, and not in the others. With"
-    told += " 1024 robots and long tails all five are there by {:.2f} M."
+    told = "of longer tuning runs an ANYmal-C is after {:.1f} to {:.1f} M in three of nine. These are all"
+    told += " there by {:.2f}."
     assert told.format(there.min(), there.max(), first["1024", "c"].max()) in text
-    its = {n: reached_of(jobs[f"deploy-{n}-g"], 35) / 1e6 for n in (256, 512, 1024)}
-    assert min(its, key=lambda n: np.nanmean(its[n])) == 256 and np.isnan(its[256]).sum() == 1
-    told = (
-        "has a Go1 at 35 after {:.1f} M in two of three seeds, these have all five there by {:.2f}."
-    )
-    assert told.format(np.nanmean(its[256]), first["1024", "g"].max()) in text
     config = config_lib.validate(config_lib.load("go1:deploy"))
     assert (config.schedule.rounds, config.schedule.last_iteration) == (3, 150)
     task, real = config.task, config.rollout.horizon

@@ -21,6 +21,7 @@ from experiments import paper, stats
         "21_less/ppo_others.txt",
         "21_less/ppo_exact.txt",
         "21_less/ppo_deploy.txt",
+        "21_less/ppo_deploy_edges.txt",
         "23_untuned/ppo.txt",
         "23_untuned/ppo_more.txt",
     ],
