@@ -1,19 +1,20 @@
 """The best of tuned settings, as a list of jobs on fresh seeds. The rule for a walk is older than the runs.
 
-    python experiments/21_less/choose.py FOLDER JOBS.txt FRESH.txt [--seed 1200] [--num-seeds 10] [--level]
-        [--returns 30 20] [--beyond LATER.txt] [--episodes 1000] [--as-often] [--times 1]
+    python experiments/21_less/choose.py FOLDER JOBS.txt [...] FRESH.txt [--seed 1200] [--num-seeds 10]
+        [--level] [--returns 30 20] [--beyond LATER.txt] [--episodes 1000] [--often 2] [--times 1]
         [--also PATH]
 
-FOLDER is what run.py made of JOBS.txt, or a file of pack.py, and `--also` another; every job must have run.
-Of the settings of a robot, the best is the one with the fewest simulator steps until it walks
-(dynappo/policy/walks.py), mean over seeds; a seed that never walks counts with twice all its steps. FRESH.txt
-gets that setting of each robot, as `walks-NAME`, with other seeds, and an evaluation of 1000 episodes twice
-as often. A robot of which no seed of any setting gets there is left out, and a line says so: all settings tie
-there. `--level`: steps to the level decide, whatever the falls, and the name is `level-NAME`. `--returns`:
-with `--level`, that of a return of 45, and of one of 30. `--beyond`: settings that ran later compete with
-those of JOBS.txt, and FRESH.txt gets the best of a robot only if it is one of them. `--as-often`: evaluated
-as often as in tuning. `--times`: so many times as long. Runs that compete must be equally long, and evaluated
-as often: a seed that never gets there counts with its own run.
+FOLDER is what run.py made of all JOBS.txt, or a file of pack.py; `--also` has those that FOLDER lacks. Of the
+settings of a robot, the best is the one with the fewest simulator steps until it walks
+(dynappo/policy/walks.py), mean over seeds; a seed that never walks counts with twice all its steps. Of equal
+ones it is the one with the highest last return, and a line says so. A robot of which no seed of any setting
+gets there is left out, which a line says, too. FRESH.txt gets the best of each robot, as `walks-NAME`, with
+other seeds and 1000 episodes an evaluation. `--level`: steps to the level decide, whatever the falls, and the
+name is `level-NAME`. `--returns`: with `--level`, that of a return of 45, and of one of 30. `--beyond`:
+settings that ran later compete with those of JOBS.txt, and FRESH.txt gets the best of a robot only if it is
+one of them. `--often`, `--times`: evaluated so many times as often as in tuning, and so many times as long.
+Runs that compete must be equally long, and evaluated as often: a seed that never gets there counts with its
+own run.
 """
 
 import importlib
@@ -30,16 +31,15 @@ table = importlib.import_module("experiments.21_less.table")
 def main():
     parser = paper.parser(__doc__)
     parser.add_argument("folder", type=Path)
-    parser.add_argument("jobs", type=Path)
+    parser.add_argument("jobs", type=Path, nargs="+")
     parser.add_argument("fresh", type=Path)
     parser.add_argument("--seed", type=int, default=1200)
     parser.add_argument("--num-seeds", type=int, default=10)
     parser.add_argument("--level", action="store_true")
     parser.add_argument("--returns", type=float, nargs=2, metavar=("OF_45", "OF_30"))
-
     parser.add_argument("--beyond", type=Path, metavar="LATER.txt")
     parser.add_argument("--episodes", type=int, default=1000)
-    parser.add_argument("--as-often", action="store_true")
+    parser.add_argument("--often", type=int, default=2)
     parser.add_argument("--times", type=int, default=1)
     parser.add_argument("--also", type=Path, metavar="PATH")
     args = parser.parse_args()
@@ -48,15 +48,13 @@ def main():
             "--returns is given without --level, by which alone returns decide; add it"
         )
     later = paper.jobs(args.beyond) if args.beyond else {}
-    jobs, found = paper.jobs(args.jobs) | later, table.read(args.folder)
-    found |= table.read(args.also) if args.also else {}
-
+    jobs = {name: line for path in args.jobs for name, line in paper.jobs(path).items()} | later
+    found = (table.read(args.also) if args.also else {}) | table.read(args.folder)
+    place = f"{args.folder} and {args.also} lack" if args.also else f"{args.folder} lacks"
     if missing := [name for name in jobs if name not in found]:
-        raise SystemExit(f"{args.folder} lacks {', '.join(missing)}; run them first")
+        raise SystemExit(f"{place} {', '.join(missing)}; run them first")
     if other := [name for name, line in jobs.items() if found[name][0]["job"] != line]:
-        raise SystemExit(
-            f"{args.folder} has other settings of {', '.join(other)} than were asked for"
-        )
+        raise SystemExit(f"{', '.join(other)} ran with other settings than were asked for")
     goal = "level" if args.level else "walks"
     costs = {name: cost(found[name], goal, args.returns) for name in jobs}
     lines = []
@@ -67,12 +65,15 @@ def main():
         if not any(arrive(found[name], goal, args.returns) for name in mine):
             print(f"{robot}: no seed of any setting gets there, so none is chosen")
             continue
-        name = min(mine, key=costs.get)
+        if len(equal := [name for name in mine if costs[name] == min(map(costs.get, mine))]) > 1:
+            print(
+                f"{robot}: {', '.join(equal)} are equal; of these the highest last return is taken"
+            )
+        name = max(equal, key=lambda name: last_return(found[name]))
         if not later or name in later:
             more = {"run.seed": args.seed, "run.num_seeds": args.num_seeds}
             more["run.eval_envs"] = args.episodes
-            often = 1 if args.as_often else 2
-            lines.append(fresh(f"{goal}-{name}", jobs[name], more, often, args.times))
+            lines.append(fresh(f"{goal}-{name}", jobs[name], more, args.often, args.times))
     args.fresh.write_text("".join(lines))
 
 
@@ -94,6 +95,11 @@ def steps_to(job: list[dict], goal: str, returns) -> np.ndarray:
     best = table.best(job)
     least = walks.level(best) if returns is None else returns[best != 45]
     return getattr(table.reached(table.seeds(job), least), goal)
+
+
+def last_return(job: list[dict]) -> float:
+    """Mean over seeds."""
+    return float(np.mean([run[-1]["return"] for run in table.seeds(job)]))
 
 
 def fresh(name: str, line: str, more: dict[str, int], often: int, times: int = 1) -> str:

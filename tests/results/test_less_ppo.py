@@ -476,7 +476,7 @@ def test_best_setting_is_the_one_that_walks_soonest_and_never_counts_twice(tmp_p
     assert all(set(line[2:]) == expected for line in lines)
     # as often as in tuning; by another return
     path.write_text(f"b {jobs['b']}\n")
-    monkeypatch.setattr(sys, "argv", [*sys.argv, "--as-often", "--episodes", "200"])
+    monkeypatch.setattr(sys, "argv", [*sys.argv, "--often", "1", "--episodes", "200"])
     choose.main()
     (line,) = fresh.read_text().splitlines()
     assert line.split()[0] == "walks-b" and "run.eval_every=20" in line
