@@ -47,6 +47,7 @@ COMMITS = {  # of batches of SECONDS; rows of the first do not have theirs
     "H200, 2026-11-28, eighth host": "d4ea24ce",
     "H200, 2026-11-29": "94da69b8",
     "H200, 2026-11-29, second host": "724e00df",
+    "two cores, 2026-11-29": "215ed131",
 }
 CORES = "two CPU cores", "2026-11-26"
 ROBOTS = {"go1": "g", "go2": "h", "anymal_c": "c", "anymal_d": "d"}

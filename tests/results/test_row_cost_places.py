@@ -867,6 +867,68 @@ def test_what_the_pages_of_seconds_say_of_mjx_jax_is_so():
         assert text in pages["computed"], text
 
 
+def test_what_the_pages_say_of_ten_new_seeds_on_two_cores_is_so():
+    """By the rule set before them: one Welch test of the seconds to the level, `best` beside PPO."""
+    table, batch = script(f"{ROW_COST}/table"), "two cores, 2026-11-29"
+    run = {one.method: one for one in table.runs() if one[:2] == ("go1.laptop", batch)}
+    best, ppo = run["again-best"], run["again-ppo512"]
+    jobs = of_host(table, batch)
+    asked = dict(
+        line.split(maxsplit=1)
+        for line in (EXPERIMENTS / ROW_COST / "jobs.txt").read_text().splitlines()
+    )
+    for method in ("best", "ppo512"):
+        seeds = jobs[f"go1.laptop.again-{method}"]
+        assert [*map(int, seeds)] == [*range(1110, 1120)]
+        for seed, rows in seeds.items():
+            half = "new" if int(seed) < 1115 else "newer"
+            assert {row["job"] for row in rows} == {asked[f"go1.laptop.{half}-{method}"]}
+            assert {row["commit"] for row in rows} == {"215ed131133c"}
+    seconds = [one.level[:, 2] for one in (ppo, best)]
+    less, longer = stats.difference(*seconds), stats.ratio(*seconds)
+    more = stats.ratio(ppo.level[:, 1], best.level[:, 1])
+    p = stats.welch_of(*seconds)
+    pages = {
+        name: " ".join((EXPERIMENTS / name).read_text().split())
+        for name in (
+            f"{ROW_COST}/README.md",
+            f"{ROW_COST}/runs.md",
+            "04_laptop/README.md",
+            "README.md",
+        )
+    }
+    pages |= {name: " ".join((ROOT / name).read_text().split()) for name in ("docs/results.md",)}
+    front = " ".join((ROOT / "README.md").read_text().split())
+    times = f"{longer.value:.2f} times as long ({longer.low:.2f} to {longer.high:.2f}"
+    steps = f"{more.value:.1f} times the steps ({more.low:.1f} to {more.high:.1f})"
+    both = [one.mean() for one in seconds]
+    text = (
+        "A Go1 takes {1:.1f} s with `best` of `:laptop` and {0:.1f} with PPO with as many robots:"
+    )
+    text = f"{text.format(*both)} {times}, p {p:.3f}), for {steps}."
+    assert text in pages[f"{ROW_COST}/README.md"]
+    assert (
+        f"cores**, {table.cost(table.runs(), best):.0f} ms a row" in pages[f"{ROW_COST}/README.md"]
+    )
+    text = f"after {both[1]:.1f} instead of {both[0]:.1f} s, {less.value:.1f} s fewer ({less.low:.1f} to"
+    text += f" {less.high:.1f}, p {p:.3f}). PPO takes {times}), for {steps}."
+    assert text in pages[f"{ROW_COST}/runs.md"]
+    walks = [one.walks[:, 2] for one in (best, ppo)]
+    assert [np.isfinite(x).sum() for x in walks] == [9, 10]
+    text = f"nine of ten with `best`, after {np.nanmean(walks[0]):.1f} s, where its runs end at"
+    text += f" {best.end / 1e6:.1f} M steps; with PPO all ten, after {walks[1].mean():.1f} s, by"
+    assert f"{text} {ppo.end / 1e6:.1f} M." in pages[f"{ROW_COST}/runs.md"]
+    text = "On two CPU cores a Go1 takes {1:.1f} s with `best` and {0:.1f} with PPO with as many robots,"
+    assert f"{text.format(*both)} {times}; ten seeds each)." in pages["docs/results.md"]
+    text = "beside PPO with as many robots: {1:.1f} instead of {0:.1f} s, {2:.2f} times as long without it"
+    text = text.format(*both, longer.value) + f" ({longer.low:.2f} to {longer.high:.2f})."
+    assert text in pages["04_laptop/README.md"]
+    assert f"PPO with as many robots takes {times}, ten seeds)" in pages["README.md"]
+    assert f"44 ms, PPO with as many robots takes {longer.value:.2f} times as long." in front
+    text = "On two CPU cores ten newer seeds take {1:.1f} and {0:.1f} s".format(*both)
+    assert f"{text} ({longer.low:.2f} to {longer.high:.2f} times as long)" in front
+
+
 def test_what_the_pages_of_seconds_say_of_two_cores_is_so():
     """`best` of :laptop and PPO with 512 and 256 robots; also as if they had been evaluated all the time."""
     table, batch = script(f"{ROW_COST}/table"), "two cores, 2026-11-28"

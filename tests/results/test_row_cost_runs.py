@@ -1,5 +1,6 @@
 """30_row_cost: how seconds are counted and computed, its jobs, and the command that runs them alone."""
 
+import re
 import sys
 import types
 
@@ -201,7 +202,7 @@ def test_jobs_of_the_row_costs_are_valid_and_of_places_that_have_a_name():
     measure = script(f"{ROW_COST}/run")
     places = script(f"{ROW_COST}/plot").LABELS
     lines = (EXPERIMENTS / ROW_COST / "jobs.txt").read_text().splitlines()
-    assert len({line.split()[0] for line in lines}) == len(lines) == 69
+    assert len({line.split()[0] for line in lines}) == len(lines) == 73
     for line in lines:
         name, job, *fields = line.split()
         place, _, method = name.rpartition(".")
@@ -209,7 +210,7 @@ def test_jobs_of_the_row_costs_are_valid_and_of_places_that_have_a_name():
         assert place in places and (read.engine == "mujoco_warp") == place.endswith("warp")
         assert 10 <= len(measure.ends(read.config)) <= 36
         uses_model = schedule.uses_model(read.config)
-        assert uses_model != method.removeprefix("again-").startswith("ppo")
+        assert uses_model != re.sub("^(again|newer|new)-", "", method).startswith("ppo")
         assert read.seeds >= 5 or method.startswith("tune")
     with pytest.raises(SystemExit, match="engine is 'c', expected mujoco_warp"):
         measure.read("go1:best", ["engine=c"])

@@ -437,7 +437,8 @@ def test_ppo_for_seconds_is_an_older_setting_than_the_headlines():
     older = [
         job.config
         for name, job in jobs.items()
-        if re.match(r"(go1|anymal_c)\..*ppo\d+$", name) and name != "go1.laptop.ppo512"
+        if re.match(r"(go1|anymal_c)\..*ppo\d+$", name)
+        and not re.match(r"go1\.laptop.*ppo512", name)
     ]
     assert len(older) == 24
     for config in older:
@@ -517,7 +518,7 @@ def test_what_runs_again_is_as_before_on_new_seeds_and_as_its_rules_say():
         half = then["schedule.late_from"] * 128 / 2048
         assert (now["ppo.lambda_"], now["ppo.desired_kl"]) == (0.85, 0.04)
     rows = table.read()
-    had = {int(x["seed"]) for x in rows if x["job"].startswith("go1")}
+    had = {int(x["seed"]) for x in rows if x["job"].startswith("go1") and x["device"] != "cpu"}
     assert not had & {*range(1110, 1120)}
     page = row_cost_words("next")
     assert f"With 2048 robots that is iteration {half:.0f}, long before `ppo2048`" in page
@@ -525,6 +526,8 @@ def test_what_runs_again_is_as_before_on_new_seeds_and_as_its_rules_say():
     ran = {(x["name"], x["seed"]) for x in rows}
     left = set()
     for name, (job, fields) in asked.items():
+        if name.startswith("go1.laptop.new"):  # in the rows as one, `again-`
+            continue
         read = measure.read(job, fields)
         first = read.config.run.seed
         if any((name, str(seed)) not in ran for seed in range(first, first + read.seeds)):
