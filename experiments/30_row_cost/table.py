@@ -137,7 +137,8 @@ def of_job(batch: str, name: str, each: list[list[dict]]) -> Run:
         1, 0, 2
     )
     first = each[0][0]
-    row = float(np.mean([float(ms) for ms in {rows[0].get("row_ms") or "nan" for rows in each}]))
+    rows_ms = {rows[0].get("row_ms") or "nan" for rows in each}  # each process measured its own
+    row = float(np.mean([float(ms) for ms in rows_ms]))
     end = max(float(row["sim_steps"]) for rows in each for row in rows)
     last = float(np.mean([float(rows[-1]["seconds"]) for rows in each]))
     return Run(place, batch, method, robots(first["job"]), level, walking, row, end, last)

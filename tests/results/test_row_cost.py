@@ -242,7 +242,8 @@ def test_the_lead_of_the_page_of_seconds_is_so():
     text = text.format(low, min(costs.values()), max(costs.values()), min(values), max(values))
     cores = {x[2]: x.level[:, 2] for x in found if x[:2] == ("go1.laptop", "two cores, 2026-11-29")}
     longer = stats.ratio(cores["again-ppo512"], cores["again-best"])
-    told = f"On two CPU cores `best` is, too, beside PPO with as many robots: {longer.value:.2f} times.**"
+    told = "On two CPU cores `best` is sooner than PPO with as many robots,"
+    told += f" {longer.value:.2f} times, on ten seeds.**"
     assert f"Measured, to the level: {text} {told}" in page and longer.low > 1
     best, ppos = table.settings(found, "go1.laptop")
     for ppo in ppos:

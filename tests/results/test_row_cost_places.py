@@ -907,26 +907,60 @@ def test_what_the_pages_say_of_ten_new_seeds_on_two_cores_is_so():
     )
     text = f"{text.format(*both)} {times}, p {p:.3f}), for {steps}."
     assert text in pages[f"{ROW_COST}/README.md"]
-    assert (
-        f"cores**, {table.cost(table.runs(), best):.0f} ms a row" in pages[f"{ROW_COST}/README.md"]
+    found = table.runs()
+    cost = table.cost(found, best)
+    even = "{:.0f} ms ({:.0f} to {:.0f}; computed".format(
+        *table.break_even(best, [ppo], cost, table.POWERS["two cores"])
     )
+    page = pages[f"{ROW_COST}/README.md"]
+    assert (
+        f"cores**, {cost:.0f} ms a row" in page and f"By these it breaks even at {even})." in page
+    )
+    runs_page = pages[f"{ROW_COST}/runs.md"]
+    assert f"by these ten seeds is {even}" in runs_page
     text = f"after {both[1]:.1f} instead of {both[0]:.1f} s, {less.value:.1f} s fewer ({less.low:.1f} to"
     text += f" {less.high:.1f}, p {p:.3f}). PPO takes {times}), for {steps}."
-    assert text in pages[f"{ROW_COST}/runs.md"]
+    assert text in runs_page
+    line, ms = {}, {}
+    for method in ("best", "ppo512"):
+        line[method], ms[method] = [], []
+        for rows in jobs[f"go1.laptop.again-{method}"].values():
+            back, clock = ([float(row[key]) for row in rows] for key in ("return", "seconds"))
+            k = next(i for i, value in enumerate(back) if value >= 38)
+            line[method].append(np.interp(38, back[k - 1 : k + 1], clock[k - 1 : k + 1]))
+            ms[method].append(1e3 * clock[k] / int(rows[k]["iteration"]))
+    text = "Read off a line between evaluations it is {:.1f} and {:.1f} s."
+    assert text.format(*(np.mean(x) for x in line.values())) in runs_page
+    text = "an iteration of `best` took {:.0f} to {:.0f} ms, of PPO {:.0f} to {:.0f},"
+    assert text.format(*(f(x) for x in ms.values() for f in (min, max))) in runs_page
+    halves = [stats.difference(*(x[some] for x in seconds)) for some in (slice(5), slice(5, 10))]
+    text = "{:.1f} s fewer with the first five seeds ({:.1f} to {:.1f}),".format(*halves[0])
+    value, low, high = halves[1]
+    text += f" {value:.1f} with the others ({high:.1f} fewer to {-low:.1f} more)."
+    assert text in runs_page
     walks = [one.walks[:, 2] for one in (best, ppo)]
     assert [np.isfinite(x).sum() for x in walks] == [9, 10]
-    text = f"nine of ten with `best`, after {np.nanmean(walks[0]):.1f} s, where its runs end at"
-    text += f" {best.end / 1e6:.1f} M steps; with PPO all ten, after {walks[1].mean():.1f} s, by"
-    assert f"{text} {ppo.end / 1e6:.1f} M." in pages[f"{ROW_COST}/runs.md"]
+    value, low, high = stats.difference(*walks[::-1])
+    text = (
+        f"Nine of ten walk with `best`, after {np.nanmean(walks[0]):.1f} s, with PPO all ten, after"
+    )
+    text += f" {walks[1].mean():.1f}: {value:.1f} s later ({-low:.1f} sooner to {high:.1f} later)."
+    assert text in runs_page and low < 0 < high
+    assert int(jobs["go1.laptop.again-best"]["1110"][-1]["iteration"]) == 252
     text = "On two CPU cores a Go1 takes {1:.1f} s with `best` and {0:.1f} with PPO with as many robots,"
     assert f"{text.format(*both)} {times}; ten seeds each)." in pages["docs/results.md"]
     text = "beside PPO with as many robots: {1:.1f} instead of {0:.1f} s, {2:.2f} times as long without it"
-    text = text.format(*both, longer.value) + f" ({longer.low:.2f} to {longer.high:.2f})."
+    text = text.format(*both, longer.value) + f" ({longer.low:.2f} to {longer.high:.2f}).**"
     assert text in pages["04_laptop/README.md"]
-    assert f"PPO with as many robots takes {times}, ten seeds)" in pages["README.md"]
-    assert f"44 ms, PPO with as many robots takes {longer.value:.2f} times as long." in front
-    text = "On two CPU cores ten newer seeds take {1:.1f} and {0:.1f} s".format(*both)
+    told = f"takes {longer.value:.2f} times as long to its level ({longer.low:.2f} to {longer.high:.2f},"
+    assert f"PPO with as many robots {told} ten seeds)" in pages["README.md"]
+    assert f"44 ms, PPO with as many robots takes {longer.value:.2f} times as long to 38." in front
+    text = "On two CPU cores ten newer seeds follow commands after {1:.1f} and {0:.1f} s".format(
+        *both
+    )
     assert f"{text} ({longer.low:.2f} to {longer.high:.2f} times as long)" in front
+    text = f"({longer.value:.2f} times as long, {longer.low:.2f} to {longer.high:.2f}); to a walk"
+    assert text in " ".join((ROOT / "docs/speed.md").read_text().split())
 
 
 def test_what_the_pages_of_seconds_say_of_two_cores_is_so():
@@ -1012,9 +1046,9 @@ def test_what_the_pages_of_seconds_say_of_two_cores_is_so():
     )
     text = (
         text.replace("1.1 times the steps", "1.1 times")
-        + " PPO that ran the tail is not shown to save"
+        + " PPO that ran then the tail is not shown to save"
     )
-    text += " steps, nor seconds: {:.1f} s with it and {:.1f} without, {:.1f} s more ({:.1f} to {:.1f}).**"
+    text += " steps, nor seconds: {:.1f} s with it and {:.1f} without, {:.1f} s more ({:.1f} to {:.1f})."
     assert text.format(seconds[0].mean(), seconds[1].mean(), *more) in laptop
     assert more.low < 0 < more.high and ratios[1].low < 1 < ratios[1].high
     assert {len(one.level) for one in (best, many, few)} == {5} and table.fastest(
