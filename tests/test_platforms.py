@@ -139,9 +139,8 @@ def test_a_clone_on_another_drive_has_its_whole_path(monkeypatch):
         raise ValueError("path is on mount 'D:', start on mount 'C:'")
 
     monkeypatch.setattr(shell_lib.os.path, "relpath", relpath)
-    monkeypatch.setattr(
-        shell_lib.shutil, "which", lambda name: None
-    )  # its environment may be active
+    # the environment of these tests may be active
+    monkeypatch.setattr(shell_lib.shutil, "which", lambda name: None)
     assert str(ROOT / "constraints.txt") in shell_lib.install("video")
     assert shell_lib.command_line().startswith(sys.executable)
 

@@ -8,11 +8,12 @@ physics/warp/call.py captures a control step for each set of addresses that JAX 
 `WARP_STAGED_EX` copies outside of it; `JAX` leaves the capture to XLA. Each engine and mode has a process of
 its own, in which one program trains seeds of go1:best one after the other, as a user's first run and later
 ones would. OUT.csv has a row for each seed and ten iterations: ms an iteration, and how many graphs were
-captured since the program began. Nothing else may use the device.
+captured since the program began. What OUT.csv has is skipped. Nothing else may use the device.
 """
 
 import csv
 import importlib
+import itertools
 import subprocess
 import sys
 import time
@@ -36,9 +37,7 @@ def main():
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--iterations", type=int, default=60)
     parser.add_argument("--set", action="append", default=[], metavar="FIELD=VALUE")
-    parser.add_argument(
-        "--here", action="store_true", help="the one engine and mode, in this process"
-    )
+    parser.add_argument("--here", action="store_true", help="one engine and mode, in this process")
     args = parser.parse_args()
     for name, asked, there in (("engines", args.engines, engines), ("modes", args.modes, modes)):
         if other := [x for x in asked if x not in there]:
@@ -49,17 +48,23 @@ def main():
         with args.out.open("a", newline="") as file:
             csv.DictWriter(file, COLUMNS).writerows(rows)
         return
-    with args.out.open("w", newline="") as file:
-        csv.DictWriter(file, COLUMNS).writeheader()
+    if not args.out.exists():
+        with args.out.open("w", newline="") as file:
+            csv.DictWriter(file, COLUMNS).writeheader()
     command = [sys.executable, __file__, args.out, "--here", "--seeds", str(args.seeds)]
     command += ["--iterations", str(args.iterations), *(f"--set={field}" for field in args.set)]
-    for engine in args.engines:
-        for mode in args.modes:
-            done = subprocess.run(
-                [*command, "--engines", engine, "--modes", mode], capture_output=True, text=True
-            )
-            error = (done.stderr.strip() or "no line").splitlines()[-1]
-            print(engine, mode, error if done.returncode else told(args.out, engine, mode))
+    failed = []
+    for engine, mode in itertools.product(args.engines, args.modes):
+        if not read(args.out, engine, mode):  # a process writes all of its rows at its end
+            words = [*command, "--engines", engine, "--modes", mode]
+            done = subprocess.run(words, capture_output=True, text=True)
+            if done.returncode:
+                failed.append(f"{engine} {mode}")
+                print(engine, mode, (done.stderr.strip() or "no line").splitlines()[-1])
+                continue
+        print(engine, mode, told(read(args.out, engine, mode)), flush=True)
+    if failed:
+        raise SystemExit(f"failed: {', '.join(failed)}")
 
 
 def train(engine: str, mode: str, fields: list[str], seeds: int) -> list[dict]:
@@ -105,17 +110,20 @@ def train(engine: str, mode: str, fields: list[str], seeds: int) -> list[dict]:
     return rows
 
 
-def told(path: Path, engine: str, mode: str) -> str:
-    """Mean ms of each seed, without its first ten iterations, which compile; and captures until then."""
+def read(path: Path, engine: str, mode: str) -> list[dict]:
+    """The rows of one process."""
     with path.open(newline="") as file:
-        mine = [
-            row for row in csv.DictReader(file) if (row["engine"], row["mode"]) == (engine, mode)
-        ]
+        rows = list(csv.DictReader(file))
+    return [row for row in rows if (row["engine"], row["mode"]) == (engine, mode)]
+
+
+def told(rows: list[dict]) -> str:
+    """Mean ms of each seed, without its first ten iterations, which compile; and captures until then."""
     cells = []
-    for seed in dict.fromkeys(row["seed"] for row in mine):
-        rows = [row for row in mine if row["seed"] == seed]
-        ms = [float(row["ms"]) for row in rows[1:]]
-        cells.append(f"{sum(ms) / len(ms):.2f} ({rows[-1]['captures']})")
+    for seed in dict.fromkeys(row["seed"] for row in rows):
+        mine = [row for row in rows if row["seed"] == seed]
+        ms = [float(row["ms"]) for row in mine[1:]]
+        cells.append(f"{sum(ms) / len(ms):.2f} ({mine[-1]['captures']})")
     return ", ".join(cells)
 
 

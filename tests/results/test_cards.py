@@ -303,3 +303,35 @@ def test_what_runs_next_names_scripts_and_jobs_that_there_are():
         if "27_few" in jobs:
             done = {name for name, one in peers.settings().items() if one.counts}
         assert names == set(paper.jobs(ROOT / jobs)) - done
+
+
+def test_ways_to_capture_a_step_that_have_run_are_not_run_again(tmp_path, monkeypatch, capsys):
+    """Each engine and way has a process; one that fails is named, and the others run."""
+    graphs = importlib.import_module("experiments.03_speed.graphs")
+    out, began = tmp_path / "graphs.csv", []
+
+    def run(command, **_):
+        engine, mode = command[-3], command[-1]
+        began.append((engine, mode))
+        if mode == "JAX":
+            return subprocess.CompletedProcess(command, 1, "", "no\nout of memory\n")
+        with out.open("a") as file:
+            for k, ms in enumerate((900.0, 30.0, 34.0)):
+                file.write(f"{engine},{mode},gpu,abc,0,{10 * (k + 1)},{ms},{k}\n")
+        return subprocess.CompletedProcess(command, 0, "", "")
+
+    monkeypatch.setattr(graphs.subprocess, "run", run)
+    words = ["graphs.py", str(out), "--engines", "kernel", "--modes", "WARP", "JAX"]
+    monkeypatch.setattr(sys, "argv", words)
+    for expected in ([("kernel", "WARP"), ("kernel", "JAX")], [("kernel", "JAX")]):
+        began.clear()
+        with pytest.raises(SystemExit, match="^failed: kernel JAX$"):
+            graphs.main()
+        assert began == expected
+        said = capsys.readouterr().out.splitlines()
+        assert said == ["kernel WARP 32.00 (2)", "kernel JAX out of memory"]
+    monkeypatch.setattr(sys, "argv", [*words, "WARPED"])
+    with pytest.raises(
+        SystemExit, match="^--modes has 'WARPED', expected some of WARP, WARP_STAGED"
+    ):
+        graphs.main()
