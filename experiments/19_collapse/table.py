@@ -19,8 +19,8 @@ from experiments import paper, stats
 
 HERE = Path(__file__).parent
 ALPHA, COLLAPSED = 0.05, 0.65  # of PPO-16
-NEAR = {"g": 2.0, "c": 1.3, "d": 1.3}  # a difference that does not matter, of 45 and 30
-ROBOTS = {"g": "Go1", "c": "ANYmal-C", "d": "ANYmal-D"}
+NEAR = {"g": 2.0, "h": 2.0, "c": 1.3, "d": 1.3}  # a difference that does not matter, of 45 and 30
+ROBOTS = {"g": "Go1", "h": "Go2", "c": "ANYmal-C", "d": "ANYmal-D"}
 TAILS = "dyna4", "dyna4-noschedule"
 
 
@@ -57,6 +57,10 @@ TABLES = {
         *pairs("gc", ["clean-unanchored"], "clean"),
         *pairs("gc", ["best-rebuilt"], "best-anchored", whole="", end=500),
         *pairs("gc", ["best-unanchored"], "best-rebuilt", whole="", end=500),
+    ],
+    "Anchors on other robots, beside robots made anew": [
+        *pairs("hd", ["unanchored"], "rebuilt", whole=""),
+        *pairs("c", ["five-unanchored"], "five-rebuilt", whole=""),
     ],
     "How long a tail may be, beside its real rows alone": [
         Pair(robot, f"dose{tail}", f"rows{real}", "rows16", 500)

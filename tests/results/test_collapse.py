@@ -669,11 +669,61 @@ def test_the_page_says_what_the_exact_task_has(gpu):
     assert text.format(*late) in words
 
 
+def test_the_pages_say_what_anchors_do_on_other_robots(gpu):
+    """A Go2 by the rule, in which ANYmals that have not run count; robots made anew, too."""
+    words = " ".join((HERE / "README.md").read_text().split())
+    rule = table.TABLES["Anchors on other robots, beside robots made anew"]
+    asked = [("h", "unanchored"), ("d", "unanchored"), ("c", "five-unanchored")]
+    assert [(pair.robot, pair.job) for pair in rule] == asked
+    ((pair, one),) = table.found(gpu, rule).items()
+    assert pair.robot == "h" and one.verdict == "open" and one.p > table.ALPHA
+    less, low, high = one.difference
+    means = [np.mean(table.values(gpu, f"{x}-h", 300)) for x in ("unanchored", "rebuilt")]
+    text = "is shown: {:.1f} without anchors, {:.1f} with robots made anew ({:.1f} less to {:.1f} more)."
+    assert text.format(*means, -low, high) in words and abs(less) < 0.05
+    near = table.NEAR["h"]
+    assert near == table.NEAR["g"] == 2 and "after the runs we took Go1's, 2 of 45" in words
+    assert f"the interval reaches {-low - near:.2f} and {high - near:.2f} beyond 2" in words
+    assert {f"{x:.1f}" for x in means} == {"38.4"}
+    text = "A Go2 has 38.4 of 45 without anchors, and with robots made anew;"
+    assert text in words
+    told = f"Go2 {less:.1f} higher ({-low:.1f} lower to {high:.1f} higher)"
+    assert all(told in other_page(x) for x in (".", "paper"))
+    more, fewer = (
+        stats.difference(*(table.values(gpu, f"{x}-{robot}", 300) for x in ("rebuilt", "tail")))
+        for robot in "hd"
+    )
+    text = (
+        "a Go2 has {:.1f} more with `rebuilt` than with `tail` ({:.1f} less to {:.1f} more),"
+        " an ANYmal-D {:.1f} less ({:.1f} less to {:.1f} more)"
+    )
+    numbers = [more.value, -more.low, more.high, -fewer.value, -fewer.low, fewer.high]
+    assert text.format(*numbers) in words
+
+
 def test_each_batch_has_the_jobs_that_the_page_says(gpu):
-    """All jobs have run. Those that were cut off, in `cut.csv.xz`, are other runs than those that count."""
+    """All of jobs.txt have run, and five of anchors.txt; next.txt has the others. Those that were cut off, in
+    `cut.csv.xz`, are other runs than those that count."""
     words = " ".join((HERE / "README.md").read_text().split())
     names = {line.split()[0] for line in (HERE / "jobs.txt").read_text().splitlines()}
-    assert names == set(gpu)
+    anchors = paper.jobs(HERE / "anchors.txt")
+    fifth = {"tail-h", "rebuilt-h", "unanchored-h", "tail-d", "rebuilt-d"}
+    assert names | fifth == set(gpu) and fifth < {*anchors}
+    for name in fifth:
+        assert [*gpu[name]] == [100, 200, 300]
+        for rows in gpu[name].values():
+            assert [row["seed"] for row in rows] == ["700", "701", "702"]
+            assert {(row["job"], row["commit"][:8]) for row in rows} == {
+                (anchors[name], "32eca169")
+            }
+    (plan,) = (x for x in (HERE.parent / "next.txt").read_text().splitlines() if "/anchors " in x)
+    asked = plan.split("anchors.txt ")[1].split(" --")[0].split()
+    assert {x for x in anchors if x.startswith((*asked,))} == {*anchors} - fifth
+    told = (
+        "five of the twelve jobs of [`anchors.txt`](#anchors-on-other-robots) on one of two H200 of"
+    )
+    assert f"{told} one more host, 2026-11-29, at 32eca169, four at once (batch `fifth`)" in words
+    assert len(anchors) == 12 and "Five of the file's twelve jobs have run" in words
     batches = {
         name: {row["batch"] for rows in x.values() for row in rows} for name, x in gpu.items()
     }
@@ -685,6 +735,7 @@ def test_each_batch_has_the_jobs_that_the_page_says(gpu):
     later = {f"{x}-{robot}" for x in table.COLD for robot in "gc"} | own | of_2048
     later |= {f"robots1024-{x}-d" for x in table.TAILS}
     assert {name for name, batch in batches.items() if batch == {"third"}} == later
+    assert {name for name, batch in batches.items() if batch == {"fifth"}} == fifth
     assert all(len(batch) == 1 for batch in batches.values())
     cut = table.read(HERE / "results/cut.csv.xz")
     eight = {name: cut.pop(name) for name in [*cut] if name.startswith("eight-")}

@@ -130,7 +130,7 @@ def test_the_table_of_ppos_grid_is_that_of_its_runs():
             for r in csv.DictReader(file)
             if r["name"][0] not in "qw"
         }
-    counts = [sum(batch in some for batch, *_ in runs) for some in ("123", "4", "5", "8")]
+    counts = [sum(batch in {*some} for batch, *_ in runs) for some in ("123", "4", "5", "8")]
     front, page, fewer = (
         " ".join((LESS / f"{x}.md").read_text().split()) for x in ("README", "ppo", "falls")
     )

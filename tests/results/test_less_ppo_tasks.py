@@ -40,6 +40,22 @@ SETTINGS = {
     "256-kl3-ep10": "10 epochs",
     "256-kl3-mb8": "8 minibatches",
 }
+# and of ppo_deploy_edges.txt
+EDGES = {
+    "256-kl1": "KL 0.01",
+    "256-kl3-gamma99": "gamma 0.99",
+    "256-kl2-gamma98": "gamma 0.98, KL 0.02",
+    "256-kl2-gamma98-lam95": "gamma 0.98, lambda 0.95, KL 0.02",
+    "128-kl3-gamma98": "128 robots, gamma 0.98",
+    "512-kl3-gamma98": "512 robots, gamma 0.98",
+}
+# what the rule takes of them, as the page calls it
+TAKEN = {
+    "g": ("256-kl3", "PPO, 256 robots"),
+    "h": ("256-kl2-gamma98-lam95", "PPO, 256 robots, gamma 0.98, lambda 0.95, KL 0.02"),
+    "c": ("256-kl3-gamma99", "PPO, 256 robots, gamma 0.99"),
+    "d": ("512-kl3", "PPO, 512 robots"),
+}
 ASKED = {"g": 30, "h": 30, "c": 15, "d": 15}  # the return that the grid's table is of
 
 
@@ -55,14 +71,18 @@ def words(text):
 
 @functools.cache
 def grid():
-    return less("ppo")[0].read(LESS / "results/ppo.csv.xz", "9")
+    """All 17 settings on four robots."""
+    table = less("ppo")[0]
+    return {
+        n: job for k in ("9", "12") for n, job in table.read(LESS / "results/ppo.csv.xz", k).items()
+    }
 
 
 @functools.cache
 def of_fresh(letter):
     """The three that are compared: PPO, `deploy`, longer tails."""
     table, _ = less("ppo")
-    ppo = table.read(LESS / "results/ppo_tasks.csv.xz", "deploy")
+    ppo = table.read(LESS / "results/ppo_tasks.csv.xz", "edges")
     tails = table.read(DEPLOY / "fewer.csv.xz", "fresh")
     return (
         next(job for name, job in ppo.items() if name.endswith(f"-{letter}")),
@@ -71,63 +91,72 @@ def of_fresh(letter):
     )
 
 
-def test_the_table_of_eleven_settings_for_hardware_is_that_of_their_runs():
-    """Each job of ppo_deploy.txt, to its end; and what choose.py takes by the rule."""
+def ends_of(job):
+    return [run[-1]["return"] for run in less("ppo")[0].seeds(job)]
+
+
+def test_the_table_of_settings_for_hardware_is_that_of_their_runs():
+    """Each job of both files, to its end; and what choose.py takes by the rule, bold."""
     choose, (table, _) = script("21_less/choose"), less("ppo")
-    asked = paper.jobs(LESS / "ppo_deploy.txt")
-    assert asked.keys() == grid().keys() == {f"deploy-{n}-{x}" for n in SETTINGS for x in "ghcd"}
-    text = part("Eleven settings", "###").split("\n### ")[0]
-    shown = [cells(line) for line in text.splitlines() if line.startswith("| ")][1:]
+    lists = [paper.jobs(LESS / f"ppo_deploy{x}.txt") for x in ("", "_edges")]
+    asked = lists[0] | lists[1]
+    settings = SETTINGS | EDGES
+    assert asked.keys() == grid().keys() == {f"deploy-{n}-{x}" for n in settings for x in "ghcd"}
+    text = part("Settings", "###").split("\n### ")[0]
+    lines = {cells(line)[0]: line for line in text.splitlines() if line.startswith("| ")}
+    shown = [*map(cells, lines.values())][1:]
+    cost = {n: choose.cost(job, "level", (30, 15)) for n, job in grid().items()}
+    best = {x: sorted((n for n in cost if n[-1] == x), key=cost.get) for x in "ghcd"}
     rows = []
-    for name, label in SETTINGS.items():
-        row = [label]
+    for name, label in settings.items():
+        row, commit = [label], "32eca169" if name in EDGES else "23049457"
         for x, level in ASKED.items():
             job = grid()[f"deploy-{name}-{x}"]
             assert job[0]["job"] == asked[f"deploy-{name}-{x}"] and len(table.seeds(job)) == 3
-            assert job[-1]["sim_steps"] == 9216000 and job[0]["commit"].startswith("23049457")
+            assert job[-1]["sim_steps"] == 9216000 and job[0]["commit"].startswith(commit)
             steps = reached_of(job, level) / 1e6
             there = int(np.isfinite(steps).sum())
-            end = np.mean([run[-1]["return"] for run in table.seeds(job)])
             first = f"{np.nanmean(steps):.2f} ({there})" if there else "none"
-            row.append(f"{first}; {end:.1f}")
+            cell = f"{first}; {np.mean(ends_of(job)):.1f}"
+            row.append(cell)
+            assert (f"**{cell}**" in lines[label]) == (TAKEN[x][0] == name)
         rows.append(row)
     assert shown == rows
     told = words(text)
     assert f"{len(asked)} jobs of three seeds (0 to 2) to 9.2 M steps" in told
+    assert [len(x) for x in lists] == [44, 24] and "Six more lie beyond" in told
     every = {n: steps_between(j) for n, j in grid().items()}
     assert {f"{x / 1e6:.2f}" for n, x in every.items() if "512" not in n} == {"0.31"}
     assert {f"{x / 1e6:.2f}" for n, x in every.items() if "512" in n} == {"0.37"}
     assert "every 0.31 M steps (512 robots: 0.37 M)" in told
-    cost = {n: choose.cost(job, "level", (30, 20)) for n, job in grid().items()}
-    best = {x: sorted((n for n in cost if n[-1] == x), key=cost.get) for x in "ghcd"}
-    assert (best["g"][0], best["h"][0]) == ("deploy-256-kl3-g", "deploy-256-kl3-gamma98-h")
-    assert (
-        "takes** 256 robots and a KL of 0.03 on a Go1, the same with gamma 0.98 on a Go2." in told
-    )
-    first, second = (reached_of(grid()[f"deploy-256-{k}-g"], 30).mean() for k in ("kl3", "kl2"))
-    assert round((second - first) / 307200) == 1 and "a KL of 0.02 is one evaluation later" in told
-    some = [f"deploy-{n}-h" for n in ("256-kl3-gamma98", "128-kl3", "256-kl3-mb8")]
-    assert best["h"][:3] == some and cost[some[2]] - cost[some[0]] < 0.21e6
-    assert all(np.isfinite(reached_of(grid()[n], 30)).sum() == 1 for n in some)
-    for x in "cd":  # all tie
-        assert not any(
-            choose.arrive(grid()[f"deploy-{n}-{x}"], "level", (30, 20)) for n in SETTINGS
-        )
-        assert len({cost[f"deploy-{n}-{x}"] for n in SETTINGS}) == 1
-        assert of_fresh(x)[0][0]["name"] == f"level-deploy-128-kl3-{x}"
-    assert "took the first of its list then, 128 robots" in told
+    for x, (name, _) in TAKEN.items():
+        equal = [n for n in best[x] if cost[n] == cost[best[x][0]]]
+        assert max(equal, key=lambda n: np.mean(ends_of(grid()[n]))) == f"deploy-{name}-{x}"
+        assert len(equal) == (2 if x == "h" else 1)
+    assert "On a Go2 two settings are equal" in told
+    first, *more = (cost[n] / 1e6 for n in best["g"][:3])
+    assert best["g"][1:3] == ["deploy-256-kl2-g", "deploy-256-kl2-gamma98-g"]
+    later = [f"{x - first:.1f}" for x in more]
+    text = f"a KL of 0.02 is {later[0]} M later by that measure, and with gamma 0.98 besides {later[1]} M."
+    assert text in told
+    gaps = {f"{(cost[best[x][1]] - cost[best[x][0]]) / 1e6:.1f}" for x in "cd"}
+    assert gaps == {"0.8"} and "On an ANYmal-C the next is 0.8 M later, on an ANYmal-D, too" in told
+    # what was expected: of the eleven, and of the six
     lasts = [
-        reached_of(job, 30 if n[-1] in "gh" else 20).max() / 1e6
-        for n, job in grid().items()
-        if np.isfinite(reached_of(job, 30 if n[-1] in "gh" else 20)).all()
+        reached_of(grid()[f"deploy-{n}-{x}"], 30 if x in "gh" else 20).max()
+        for n in SETTINGS
+        for x in "ghcd"
     ]
-    assert min(lasts) > 4 and len(lasts) == 2
-    text = "two are there on all three, both on a Go1, the last seeds after {:.2f} and {:.2f} M."
-    assert text.format(*sorted(lasts)) in told
+    assert np.nanmin(lasts) > 4e6 and "before 4 M steps. That was right." in told
+    assert {x for x, (name, _) in TAKEN.items() if name in EDGES} == {"h", "c"}
+    assert (
+        "on a Go2 and on both ANYmals, none on a Go1. That was right but for the ANYmal-D." in told
+    )
     # the ANYmals
     anymals = {n: job for n, job in grid().items() if n[-1] in "cd"}
-    ends = {n: [run[-1]["return"] for run in table.seeds(job)] for n, job in anymals.items()}
-    each = np.concatenate(list(ends.values()))
+    assert all(np.isnan(reached_of(job, 20)).all() for job in anymals.values())
+    assert "no seed of any setting is at 20 by 9.2 M" in told
+    each = np.concatenate([ends_of(job) for job in anymals.values()])
     text = (
         f"Of {len(each)} runs {sum(each >= 15)} return 15 or more at the end, {sum(each < 10)} less"
     )
@@ -135,18 +164,16 @@ def test_the_table_of_eleven_settings_for_hardware_is_that_of_their_runs():
     at = [table.between(of_fresh(x)[1], 9.2e6, "return").mean() for x in "cd"]
     assert "as good there as `deploy` ({:.1f} and {:.1f})".format(*at) in told
     text = "with gamma 0.98 ANYmal-C return {:.1f}, {:.1f} and {:.1f}, with 512 robots ANYmal-D {:.1f},"
-    six = ends["deploy-256-kl3-gamma98-c"] + ends["deploy-512-kl3-d"]
+    six = ends_of(anymals["deploy-256-kl3-gamma98-c"]) + ends_of(anymals["deploy-512-kl3-d"])
     assert (text + " {:.1f} and {:.1f}.").format(*six) in told
     there = np.sort(reached_of(grid()["deploy-256-kl3-gamma98-c"], 15) / 1e6)
-    mine = [reached_of(of_fresh(x)[1], 15).mean() / 1e6 for x in "cd"]
-    text = f"at 15 after {there[0]:.1f} and {there[1]:.1f} M, `deploy` is after {mine[0]:.1f}."
+    mine = reached_of(of_fresh("c")[1], 15).mean() / 1e6
+    text = f"at 15 after {there[0]:.1f} and {there[1]:.1f} M, `deploy` is after {mine:.1f}."
     assert text in told and np.isnan(there[2])
-    soonest = min(np.nanmin(reached_of(j, 15), initial=np.inf) for j in anymals.values()) / 1e6
-    page = words((DEPLOY / "README.md").read_text())
-    text = (
-        f"soonest of {len(each)}, on tuning seeds, is at 15 after {soonest:.1f} M, `deploy` after"
-    )
-    assert f"{text} {mine[0]:.1f} and {mine[1]:.1f} in the mean." in page
+    three = reached_of(anymals["deploy-256-kl3-gamma99-c"], 15) / 1e6
+    assert three.min() > there[1] and "gamma 0.99 all three ANYmal-C learn, but later" in told
+    of_all = [n for n, job in anymals.items() if np.isfinite(reached_of(job, 15)).all()]
+    assert of_all == ["deploy-256-kl3-gamma99-c"]
 
 
 def steps_between(job):
@@ -155,8 +182,14 @@ def steps_between(job):
     return run[1]["sim_steps"] - run[0]["sim_steps"]
 
 
+@functools.cache
+def older_fresh():
+    """PPO's ten seeds by the rule of the eleven settings."""
+    return less("ppo")[0].read(LESS / "results/ppo_tasks.csv.xz", "deploy")
+
+
 def test_that_a_robot_of_which_none_gets_there_gets_no_setting(tmp_path, monkeypatch, capsys):
-    """All tie there; of the others' jobs the fresh ones were made."""
+    """All tie there; of the others' jobs the first fresh ones were made."""
     choose = script("21_less/choose")
     given = [
         str(LESS / "results/ppo.csv.xz"),
@@ -171,7 +204,38 @@ def test_that_a_robot_of_which_none_gets_there_gets_no_setting(tmp_path, monkeyp
         assert f"{robot}:deploy: no seed of any setting gets there, so none is chosen\n" in said
     found = paper.jobs(tmp_path / "fresh.txt")
     assert list(found) == ["level-deploy-256-kl3-g", "level-deploy-256-kl3-gamma98-h"]
-    assert all(found[of_fresh(x)[0][0]["name"]] == of_fresh(x)[0][0]["job"] for x in "gh")
+    assert all(older_fresh()[name][0]["job"] == line for name, line in found.items())
+
+
+def test_the_fresh_runs_are_what_the_rule_of_all_17_settings_makes(tmp_path, monkeypatch):
+    choose, (table, _) = script("21_less/choose"), less("ppo")
+    lists = [str(LESS / f"ppo_deploy{x}.txt") for x in ("", "_edges")]
+    given = [str(LESS / "results/ppo.csv.xz"), *lists, str(tmp_path / "fresh.txt")]
+    flags = "--level --returns 30 15 --times 2 --seed 1620 --episodes 200 --often 1".split()
+    monkeypatch.setattr("sys.argv", ["choose.py", *given, *flags])
+    choose.main()
+    found = paper.jobs(tmp_path / "fresh.txt")
+    assert list(found) == [f"level-deploy-{name}-{x}" for x, (name, _) in TAKEN.items()]
+    for name, line in found.items():
+        job = of_fresh(name[-1])[0]
+        assert job[0]["job"] == line and job[0]["commit"].startswith("32eca169")
+        assert len(table.seeds(job)) == 10 and job[-1]["sim_steps"] == 18432000
+
+
+def test_ten_seeds_before_are_told_as_they_ran():
+    told, jobs = words(part("On fresh seeds", "###").split("\n### ")[0]), older_fresh()
+    assert {job[0]["commit"][:8] for job in jobs.values()} == {"23049457"}
+    go1, mine = jobs["level-deploy-256-kl3-g"], reached_of(of_fresh("g")[1], 30)
+    its = reached_of(go1, 30)
+    one = stats.ratio(its, mine)
+    text = f"A Go1 had the same setting: {its.mean() / 1e6:.2f} M to 30, {one.value:.1f} times those of"
+    text += f" `deploy` ({span(one)}); of both tens"
+    both = np.concatenate([its, reached_of(of_fresh("g")[0], 30)]).mean() / 1e6
+    assert f"{text} {both:.2f}." in told
+    go2 = reached_of(jobs["level-deploy-256-kl3-gamma98-h"], 30)
+    assert np.isfinite(go2).sum() == 4 and "On a Go2, gamma 0.98, four of ten were at 30." in told
+    there = [np.isfinite(reached_of(jobs[f"level-deploy-128-kl3-{x}"], 15)).sum() for x in "cd"]
+    assert there == [1, 1] and "128 robots: one of ten each was at 15." in told
 
 
 def test_a_choice_from_two_places_and_two_lists_is_one_of_all_their_runs(
@@ -248,10 +312,8 @@ def test_settings_at_the_edges_of_the_grid_differ_in_what_the_page_says():
             "ppo.desired_kl": mine.desired_kl,
         },
     }
+    assert changes.keys() == EDGES.keys()
     assert asked.keys() == {f"deploy-{n}-{x}" for n in changes for x in "ghcd"}
-    assert (
-        f"({len(asked)} jobs" not in told and f"`ppo_deploy_edges.txt`, {len(asked)} jobs" in told
-    )
     for name, line in asked.items():
         one, other = config_of(line), config_of(base[f"deploy-256-kl3-{name[-1]}"])
         assert schedule.sim_steps(one)[-1] == schedule.sim_steps(other)[-1]
@@ -280,6 +342,21 @@ def config_of(line):
     return config_lib.validate(config)
 
 
+def span(around):
+    return f"{around.low:.1f} to {around.high:.1f}"
+
+
+def interval(around):
+    """`value (low to high)`."""
+    return f"{around.value:.1f} ({span(around)})"
+
+
+def more_or_less(around):
+    """Of an interval with zero in it: `value more, low less to high more`."""
+    assert around.low < 0 < around.high
+    return f"{around.value:.1f} more, {-around.low:.1f} less to {around.high:.1f} more"
+
+
 def test_the_tables_of_ppo_for_hardware_on_fresh_seeds_are_those_of_their_runs():
     """PPO's ten beside five of `deploy` and five with longer tails."""
     table, _ = less("ppo")
@@ -291,61 +368,75 @@ def test_the_tables_of_ppo_for_hardware_on_fresh_seeds_are_those_of_their_runs()
         return f"{table.spread(back)}, {100 * fell.mean():.1f} %"
 
     rows = []
-    ppo = {"g": "PPO, 256 robots", "h": "PPO, 256 robots, gamma 0.98"}
     for x in "ghcd":
         levels = (20, 30, 35) if x in "gh" else (15, 20)
-        labels = ppo.get(x, "PPO, 128 robots, not chosen"), "`deploy`", "longer tails"
+        labels = TAKEN[x][1], "`deploy`", "longer tails"
         for label, job in zip(labels, of_fresh(x), strict=True):
             runs = table.seeds(job)
             row = [f"{ROBOT_OF[x]}, {label}", str(len(runs))]
             row += [table.steps_of([table.first(run, level) for run in runs]) for level in levels]
-            rows.append([*row, at(job, 1.8), at(job, 9.2)])
+            rows.append([*row, *(at(job, m) for m in (1.8, 9.2, 18.4))])
     assert shown == rows
-    # to 30
-    told, all_p = words(PAGE.read_text()), []
-    ratios = {}
-    for x in "gh":
-        its, *ours = (reached_of(job, 30) for job in of_fresh(x))
-        assert len(its) == 10
+    told = words(PAGE.read_text())
+    # to 30, and an ANYmal-C to 15
+    ratios, means, all_p = {}, {}, []
+    for x, level in (("g", 30), ("h", 30), ("c", 15)):
+        its, *ours = (reached_of(job, level) for job in of_fresh(x))
+        assert len(its) == 10 and np.isfinite(its).all()
         for mine in ours:
-            assert len(mine) == 5 and mine.max() < np.nanmin(its)
+            assert len(mine) == 5 and mine.max() < its.min()
             all_p.append(stats.rank_sum(its, mine))
-        if x == "g":
-            ratios = [stats.ratio(its, mine) for mine in ours]
-            mean = its.mean() / 1e6
+        ratios[x], means[x] = [stats.ratio(its, mine) for mine in ours], its.mean() / 1e6
     # all of ten after all of five; ties make some of these smaller
     most = max(all_p)
-    assert most == pytest.approx(2 / math.comb(15, 5))
-    assert f"(rank tests, p at most {most:.4f}, Holm over these four {4 * most:.3f})" in told
-    text = f"**To a return of 30 PPO needs {mean:.2f} M steps on a Go1: {ratios[0].value:.1f} times those of"
-    assert f"{text} `deploy` (95 %: {ratios[0].low:.1f} to {ratios[0].high:.1f}) and" in told
-    longer = (
-        "{:.1f} times those of longer tails ({:.1f} to {:.1f}). It has the best of eleven settings"
+    assert most == pytest.approx(2 / math.comb(15, 5)) and len(all_p) == 6
+    assert f"(rank tests, p at most {most:.4f}, Holm over these six {6 * most:.3f})" in told
+    g, h, c = (ratios[x] for x in "ghc")
+    text = f"PPO needs {means['g']:.2f} M steps on a Go1 and {means['h']:.2f} M on a Go2: {g[0].value:.1f}"
+    text += f" times those of `deploy` (95 %: {span(g[0])}) and {h[0].value:.1f} times"
+    text += f" ({span(h[0])}), and {interval(g[1])} and {h[1].value:.1f} times"
+    assert f"{text} ({span(h[1])}) those of longer tails." in told
+    text = f"An ANYmal-C of PPO is at 15 after {means['c']:.2f} M, {c[0].value:.1f} and {c[1].value:.1f}"
+    text += f" times as many ({span(c[0])}; {span(c[1])})"
+    assert text in told
+    # to 35
+    later = {x: [reached_of(job, 35) for job in of_fresh(x)] for x in "gh"}
+    two = {x: [stats.ratio(its, mine) for mine in ours] for x, (its, *ours) in later.items()}
+    assert all(one[0].low < 1 < one[0].high for one in two.values())
+    text = f"PPO needs {two['g'][0].value:.2f} times the steps of `deploy` on a Go1"
+    text += " ({:.2f} to {:.2f}) and {:.2f} on a Go2 ({:.2f} to {:.2f}), and".format(
+        *two["g"][0][1:], *two["h"][0]
     )
-    assert longer.format(*ratios[1]) in told
-    its, mine, tails = (reached_of(job, 30) / 1e6 for job in of_fresh("h"))
-    assert np.isfinite(its).sum() == 4 and "On a Go2 four of its ten are there by 9.2 M" in told
-    text = "all five of `deploy` are by {:.2f}, all five with longer tails by {:.2f}."
-    assert text.format(mine.max(), tails.max()) in told
-    twenty = [reached_of(of_fresh(x)[0], 20) for x in "cd"]
-    twenty += [reached_of(job, 20) for name, job in grid().items() if name[-1] in "cd"]
-    assert np.isnan(np.concatenate(twenty)).all() and sum(map(len, twenty)) == 66 + 20
-    deploys, tails = (
-        np.concatenate([reached_of(of_fresh(x)[k], 20) for x in "cd"]) / 1e6 for k in (1, 2)
-    )
-    text = (
-        "no seed of PPO is at 20 by 9.2 M, and none of `deploy`; all ten with longer tails are, by"
-    )
-    assert f"{text} {tails.max():.1f}." in told and len(tails) == 10 and deploys.min() > 9.2
-    assert [np.isfinite(reached_of(of_fresh(x)[0], 15)).sum() for x in "cd"] == [1, 1]
-    assert "one of ten each is at 15 by 9.2 M" in told
-    tuning = reached_of(grid()["deploy-256-kl3-g"], 30).mean() / 1e6
-    assert f"On tuning seeds this PPO of a Go1 had needed {tuning:.2f} M." in told
+    text += " {:.1f} ({:.1f} to {:.1f}) and {:.1f} times ({:.1f} to {:.1f}) those of longer tails."
+    assert text.format(*two["g"][1], *two["h"][1]) in told
+    fifth = [round(two[x][1].value) for x in "gh"]
+    assert fifth == [5, 7] and "longer tails need a fifth and a seventh of PPO's steps" in told
+    # the ANYmals to 15 and 20
+    its, mine, tails = ([reached_of(of_fresh(x)[k], 20) / 1e6 for x in "cd"] for k in range(3))
+    assert [int(np.isfinite(x).sum()) for x in its] == [0, 3]
+    assert "At 20 three of these twenty are by then" in told
+    text = f"all ten with longer tails by {np.concatenate(tails).max():.1f}"
+    assert text in told and np.isfinite(np.concatenate(tails)).all()
+    first, last = np.nanmin(its[1]), np.nanmax(its[1])
+    text = f"no ANYmal-C is there by 18.4 M, and three of ten ANYmal-D after {first:.1f} to {last:.1f}."
+    text += " `deploy` is after {:.1f} and {:.1f} M,".format(*(x.mean() for x in mine))
+    text += " the soonest after {:.1f} and {:.1f}.".format(*(x.min() for x in mine))
+    assert text in told
+    six = np.isfinite(reached_of(of_fresh("d")[0], 15)).sum()
+    assert six == 6 and "of ten ANYmal-D six are by 18.4 M" in told
+    low = [run[-1] for run in table.seeds(of_fresh("d")[0]) if run[-1]["return"] < 4]
+    fell = [100 * row["fall_rate"] for row in low]
+    text = f"four return less than 4 at the end, and fall in {min(fell):.0f} to {max(fell):.0f} %"
+    assert text in told and len(low) == 4
+    nine = [np.isfinite(reached_of(of_fresh(x)[0], 20)) for x in "cd"]
+    by_then = [reached_of(of_fresh(x)[0], 20)[k] for x, k in zip("cd", nine, strict=True)]
+    assert np.concatenate(by_then).min() > 9.2e6
+    assert "at 20 by 9.2 M, and most by 18.4. None and three of twenty are." in told
     # at equal steps
     more = {
         (x, at): [stats.difference(table.between(job, at * 1e6, "return"), its) for job in ours]
-        for x in "gh"
-        for at in (1.8, 9.2)
+        for x in "ghcd"
+        for at in (1.8, 9.2, 18.4)
         for its, ours in [(table.between(of_fresh(x)[0], at * 1e6, "return"), of_fresh(x)[1:])]
     }
     fell = [100 * table.between(of_fresh(x)[0], 1.8e6, "fall_rate").mean() for x in "gh"]
@@ -357,14 +448,20 @@ def test_the_tables_of_ppo_for_hardware_on_fresh_seeds_are_those_of_their_runs()
     text = text.format(*more["g", 1.8][0], *more["h", 1.8][0])
     text += " longer tails {:.1f} and {:.1f}.".format(*(more[x, 1.8][1].value for x in "gh"))
     assert text in told
-    value, low, high = more["g", 9.2][0]
-    assert f"on a Go1 ({value:.1f} more; {-low:.1f} less to {high:.1f} more)" in told and low < 0
+    text = f"on a Go1 ({more_or_less(more['g', 9.2][0]).replace(',', ';')})"
+    assert text in told
     assert "Longer tails return {:.1f} more ({:.1f} to {:.1f}).".format(*more["g", 9.2][1]) in told
     text = "On a Go2 `deploy` returns {:.1f} ({:.1f} to {:.1f}) and longer tails {:.1f} more ({:.1f} to"
     text += " {:.1f})"
     assert text.format(*more["h", 9.2][0], *more["h", 9.2][1]) in told
-    still = [run[-1]["fall_rate"] > 0.01 for run in table.seeds(of_fresh("h")[0])]
-    assert sum(still) == 3 and "three of ten seeds of PPO still fall" in told
+    text = "; ".join(more_or_less(more[x, 18.4][0]) for x in "gh")
+    text = f"**After 18.4 M** none is shown on either ({text}). Longer tails return"
+    text += " {:.1f} ({:.1f} to {:.1f}) and {:.1f} more ({:.1f} to {:.1f}), on ANYmals".format(
+        *more["g", 18.4][1], *more["h", 18.4][1]
+    )
+    text += f" {interval(more['c', 18.4][1])} and {interval(more['d', 18.4][1])}, `deploy`"
+    text += f" {interval(more['c', 18.4][0])} and {interval(more['d', 18.4][0])}."
+    assert text in told
     # what is not equal
     every = [steps_between(job) / 1e6 for job in of_fresh("g")]
     run = [r["sim_steps"] / 1e6 for r in table.seeds(of_fresh("g")[1])[0]]
@@ -396,24 +493,28 @@ def test_other_pages_say_the_same_of_ppo_for_hardware():
     )
     its, mine, tails = (reached_of(job, 30) / 1e6 for job in of_fresh("g"))
     one, other = stats.ratio(its, mine), stats.ratio(its, tails)
-    text = (
-        f"{one.value:.1f} times the steps on a Go1 ({one.low:.1f} to {one.high:.1f}; ten and five"
-    )
+    two = [
+        stats.ratio(reached_of(of_fresh("h")[0], 30), reached_of(j, 30)) for j in of_fresh("h")[1:]
+    ]
+    text = f"{one.value:.1f} times the steps on a Go1 ({span(one)}; ten and five fresh"
+    text += f" seeds) and {two[0].value:.1f} times on a Go2 ({span(two[0])})."
     assert text in page
-    text = f"a Go1 is at 30 after {mine.mean():.1f} M steps, with a PPO tuned on this task after"
-    text += f" {its.mean():.1f} ({one.value:.1f} times as many, {one.low:.1f} to {one.high:.1f};"
-    assert text in results
-    text = f"needs {other.value:.1f} times their steps to 30 on a Go1 ({other.low:.1f} to {other.high:.1f})"
+    fifteen = [reached_of(job, 15) / 1e6 for job in of_fresh("c")[:2]]
+    three = stats.ratio(*fifteen)
+    text = f"An ANYmal-C of PPO is at 15 after {fifteen[0].mean():.1f} M steps, {three.value:.1f} times as"
+    text += f" many ({span(three)}); of ten ANYmal-D six are by 18.4 M, all five of `deploy`"
+    assert f"{text} by {reached_of(of_fresh('d')[1], 15).max() / 1e6:.2f}." in page
+    text = f"a Go1 is at 30 after {mine.mean():.1f} M steps, with a PPO [tuned on this"
+    text += f" task](../experiments/21_less/ppo_tasks.md) after {its.mean():.1f} ({one.value:.1f} times as"
+    assert f"{text} many, {span(one)}; five and ten fresh seeds)" in results
+    text = f"needs {other.value:.1f} times their steps to 30 on a Go1 ({span(other)})"
     assert text in results and text in page
-    text = f"{other.value:.1f} times the steps of 1024 robots with long tails to 30 ({other.low:.1f} to"
-    assert f"{text} {other.high:.1f})" in steps
+    text = f"PPO needs {other.value:.1f} times the steps of 1024 robots with long tails to 30 on a Go1 ("
+    text += f"{span(other)}), and {two[1].value:.1f} times on a Go2 ({two[1].low:.1f} to"
+    assert f"{text} {two[1].high:.1f})" in steps
     text = f"needs {one.value:.1f} times the steps of `deploy` to a return of 30 on a Go1 ({one.low:.1f} to"
     text += f" {one.high:.1f}; ten and five fresh seeds), and {other.value:.1f} times those of longer tails"
-    assert f"{text} ({other.low:.1f} to {other.high:.1f})" in verdict
-    its, mine, _ = (reached_of(job, 30) / 1e6 for job in of_fresh("h"))
-    text = "On a Go2 four of its ten seeds are there by 9.2 M, the soonest after"
-    text += f" {np.nanmin(its):.2f}, all five of `deploy` by {mine.max():.2f}."
-    assert text in page and np.isfinite(its).sum() == 4
+    assert f"{text} ({span(other)})" in verdict
     at = {
         m: [table.between(job, m * 1e6, "return") for job in of_fresh("g")[:2]] for m in (1.8, 9.2)
     }
@@ -422,11 +523,15 @@ def test_other_pages_say_the_same_of_ppo_for_hardware():
     text = f"returns {at[9.2][1].mean():.1f}, with PPO {at[9.2][0].mean():.1f}"
     assert f"{text} ({value:.1f} more; {-low:.1f} less to {high:.1f} more)" in page
     assert f"the Go1 {text} ({value:.1f} more; {-low:.1f} less to {high:.1f} more);" in results
-    there = [np.isfinite(reached_of(of_fresh(x)[0], 35)).sum() for x in "gh"]
+    means = [reached_of(of_fresh(x)[0], 35).mean() / 1e6 for x in "gh"]
     last = max(reached_of(of_fresh(x)[2], 35).max() for x in "gh") / 1e6
-    assert there == [2, 0]
-    text = f"At 35 are two of its ten Go1 and no Go2 by 9.2 M, with these tails all by {last:.2f}."
+    text = "At 35 its ten Go1 are after {:.1f} M in the mean and its ten Go2 after {:.1f},"
+    assert f"{text.format(*means)} with these tails all by {last:.2f}." in steps
+    twenty = [reached_of(of_fresh(x)[2], 20).max() / 1e6 for x in "cd"]
+    text = f"three are at 20 by 18.4 M, with these tails all are by {max(twenty):.2f}."
     assert text in steps
+    assert "Of ten of that PPO none is there by 18.4 M" in page
+    assert "with the tuned one none of ten is there by 18.4." in results
 
 
 def test_the_table_of_longer_runs_of_ppo_for_hardware_is_that_of_its_runs():
@@ -496,8 +601,8 @@ def test_the_table_of_longer_runs_of_ppo_for_hardware_is_that_of_its_runs():
     text = f"An ANYmal-C takes {twenty.mean():.1f} M steps to 20"
     assert f"{text} (five seeds, the soonest {twenty.min():.1f})." in page
     text = f"the ANYmal-C takes {twenty.mean():.1f} M steps to 20, and with a PPO of few robots, not tuned on"
-    assert f"{text} this task, three of nine take 14 to 19." in results
-    assert "are not there by their ends, at 9.2 to 19.7 M" in page
+    assert f"{text} this task, three of nine take 14 to 19;" in results
+    assert "three of nine runs, with 512 and 1024 robots, take 14 to 19" in page
 
 
 def rows_of(asked):
@@ -516,93 +621,229 @@ def rows_of(asked):
     return rows
 
 
-def test_the_table_of_ppo_on_the_exact_task_is_that_of_its_runs():
-    """Three seeds to their end, beside five of `best`; the grid of that task has not run whole."""
-    choose, (table, jobs) = script("21_less/choose"), less("ppo")
-    asked = {
-        n: job for n, job in paper.jobs(LESS / "ppo_others.txt").items() if n.startswith("exact")
+EXACT = {"g": ("go1.exact", 38), "c": ("anymal_c.exact", 24)}  # the place of 30_row_cost; the level
+
+
+@functools.cache
+def exact():
+    """The grid of the exact task; its fresh runs to the level; those to a walk, cut off; `best`."""
+    table = less("ppo")[0]
+    ran = {
+        n: job
+        for k in ("10", "11")
+        for n, job in table.read(LESS / "results/ppo.csv.xz", k).items()
     }
-    text = part("The exact task")
-    shown = [cells(line) for line in text.splitlines() if line.startswith("| exact")]
-    assert shown == rows_of(asked)
-    told = words(text)
-    costs = script(f"{ROW_COST}/table")
+    batches = ("exact", "exact, cut off")
+    level, walks = (
+        {n[-1]: job for n, job in table.read(LESS / "results/ppo_tasks.csv.xz", k).items()}
+        for k in batches
+    )
     mine = {
-        one.place: one
-        for one in costs.runs()
-        if one[1:3] == ("H200, 2026-11-28", "best") and one.place.endswith("exact")
+        letter: one
+        for one in script(f"{ROW_COST}/table").runs()
+        for letter, (place, _) in EXACT.items()
+        if one[:3] == (place, "H200, 2026-11-28", "best")
     }
-    go1, anymal = mine["go1.exact"], mine["anymal_c.exact"]
-    more = []
-    for best, name, level in ((go1, "exact-256-g", 38), (anymal, "exact-256-c", 24)):
-        more.append(stats.ratio(reached_of(jobs[name], level), best.level[:, 1]))
-        assert choose.cost(jobs[name], "level") < choose.cost(
-            jobs[name.replace("256", "512")], "level"
-        )
-    words_of = "{:.1f} times the steps of `best` on a Go1 ({:.1f} to {:.1f}) and {:.1f} times on an ANYmal-C"
-    assert (
-        f"of these PPO needs fewest with 256 robots, {words_of} ({{:.1f}} to {{:.1f}})".format(
-            *more[0], *more[1]
-        )
-        in told
-    )
-    steps = [one.level[:, 1].mean() / 1e6 for one in (go1, anymal)]
-    assert "which need {:.2f} and {:.2f} M".format(*steps) in told
-    other = words((EXPERIMENTS / ROW_COST / "runs.md").read_text())
-    text = (
-        "three tuning seeds, {:.1f} ({:.1f} to {:.1f}) and {:.1f} times ({:.1f} to {:.1f}) those of"
-    )
-    assert text.format(*more[0], *more[1]) in other
-    fewest = [reached_of(jobs[f"exact-256-{x}"], y).mean() / 1e6 for x, y in (("g", 38), ("c", 24))]
-    assert "it needs [{:.2f} and {:.2f} M".format(*fewest) in other
-    for letter, robots in (("g", "256"), ("c", "512")):  # that the rule takes
-        cost = {n: choose.cost(jobs[f"exact-{n}-{letter}"]) for n in ("256", "512")}
-        assert min(cost, key=cost.get) == robots
-    walked = table.reached(table.seeds(jobs["exact-512-c"]), 24).walks
-    text = "after {:.1f} times the steps of `best` ({:.1f} to {:.1f})"
-    assert text.format(*stats.ratio(walked, anymal.walks[:, 1])) in told
-    assert np.isfinite(go1.walks[:, 1]).sum() == 2 and f"{go1.end / 1e6:.1f}" == "2.7"
+    return ran, level, walks, mine
 
 
-def test_the_grid_of_the_exact_task_is_that_of_its_runs_so_far():
-    """18 of 22 jobs; the other four were cut off."""
-    table, jobs = less("ppo")
-    asked, ran = paper.jobs(LESS / "ppo_exact.txt"), table.read(LESS / "results/ppo.csv.xz", "10")
-    assert asked.keys() == {f"exact-{n}-{x}" for n in SETTINGS for x in "gc"}
-    assert asked.keys() - ran.keys() == {f"exact-{n}-kl3-{x}" for n in (256, 512) for x in "gc"}
-    text = part("What comes next: a grid", "###")
+def test_the_grid_of_the_exact_task_is_that_of_its_runs():
+    """22 jobs, four of them of a later host."""
+    table, asked, ran = less("ppo")[0], paper.jobs(LESS / "ppo_exact.txt"), exact()[0]
+    assert asked.keys() == ran.keys() == {f"exact-{n}-{x}" for n in SETTINGS for x in "gc"}
+    text = part("The exact task").split("\n### ")[0]
     shown = [cells(line) for line in text.splitlines() if line.startswith("| ")][1:]
-    rows, level = [], {"g": 38, "c": 24}
+    rows, late = [], {f"exact-{n}-kl3-{x}" for n in (256, 512) for x in "gc"}
     for name, label in SETTINGS.items():
         row = [label]
-        for x, least in level.items():
-            if (job := ran.get(f"exact-{name}-{x}")) is None:
-                row.append("cut off")
-                continue
-            assert job[0]["job"] == asked[f"exact-{name}-{x}"]
+        for x, (_, least) in EXACT.items():
+            job = ran[full := f"exact-{name}-{x}"]
+            assert job[0]["job"] == asked[full]
+            commit = "32eca169" if full in late else "23049457"
+            assert job[0]["commit"].startswith(commit)
             assert job[-1]["sim_steps"] == 3686400 and len(table.seeds(job)) == 3
             found = table.reached(table.seeds(job), least)
-            end = np.mean([run[-1]["return"] for run in table.seeds(job)])
+            end = np.mean(ends_of(job))
             row.append(f"{table.steps_of(found.level)}; {table.steps_of(found.walks)}; {end:.1f}")
         rows.append(row)
     assert shown == rows
     told = words(text)
-    assert f"{len(ran)} have run" in told and f"{len(asked)} jobs to 3.7 M" in told
-    mine = {x: reached_of(jobs[f"exact-256-{x}"], level[x]).mean() for x in "gc"}
-    text = "sooner than the {:.2f} and {:.2f} M above".format(*(x / 1e6 for x in mine.values()))
+    assert f"{len(asked)} jobs to 3.7 M" in told and f"{len(asked) - len(late)} ran beside" in told
+    assert {round(steps_between(job) / 1e6, 2) for job in ran.values()} == {0.25}
+    assert "200 episodes of 20 s every 0.25 M" in told
+
+
+@pytest.mark.parametrize(("which", "goal"), [(1, "level"), (2, "walks")])
+def test_fresh_runs_on_the_exact_task_are_what_the_rule_takes(
+    which, goal, tmp_path, monkeypatch, capsys
+):
+    choose, table = script("21_less/choose"), less("ppo")[0]
+    given = [
+        str(LESS / "results/ppo.csv.xz"),
+        str(LESS / "ppo_exact.txt"),
+        str(tmp_path / "fresh.txt"),
+    ]
+    flags = "--seed 1600 --episodes 200 --often 4".split() + ["--level"] * (goal == "level")
+    monkeypatch.setattr("sys.argv", ["choose.py", *given, *flags])
+    choose.main()
+    found, ran = paper.jobs(tmp_path / "fresh.txt"), exact()[which]
+    names = {
+        "level": ["level-exact-128-kl5-g", "level-exact-256-kl3-ep10-c"],
+        "walks": ["walks-exact-256-kl2-g", "walks-exact-128-kl5-c"],
+    }
+    assert [*found] == names[goal]
+    for name, line in found.items():
+        job = ran[name[-1]]
+        assert job[0]["job"] == line and job[0]["commit"].startswith("32eca169")
+        assert len(table.seeds(job)) == 10 and f"{steps_between(job) / 1e6:.2f}" == "0.06"
+    said = capsys.readouterr().out
+    three = "exact-128-kl5-c, exact-256-kl3-ep10-c, exact-256-kl3-mb8-c are equal"
+    assert (three in said) == (goal == "level")
+
+
+def test_the_table_of_fresh_runs_on_the_exact_task_is_that_of_its_runs():
+    table, (_, to_level, to_walk, mine) = less("ppo")[0], exact()
+    text = part("On fresh seeds, exact", "###")
+    shown = [cells(line) for line in text.splitlines() if line.startswith(("| Go1", "| ANY"))]
+    labels = {
+        "g": (
+            "PPO, 128 robots, KL 0.05, chosen for the level",
+            "PPO, KL 0.02, chosen to walk, cut off",
+        ),
+        "c": (
+            "PPO, 10 epochs, chosen for the level",
+            "PPO, 128 robots, KL 0.05, chosen to walk, cut off",
+        ),
+    }
+    all_rows = script(f"{ROW_COST}/table").read()
+    rows = []
+    for x, (place, level) in EXACT.items():
+        best = mine[x]
+        own = [r for r in all_rows if (r["name"], r["batch"]) == (f"{place}.best", best.batch)]
+        last = {}  # three evaluations of each seed, as table.py has it
+        for row in own:
+            last[row["seed"]] = [*last.get(row["seed"], []), row][-3:]
+        back, fell = (
+            np.array([np.mean([float(row[k]) for row in three]) for three in last.values()])
+            for k in ("return", "fall_rate")
+        )
+        first = [table.steps_of(getattr(best, k)[:, 1]) for k in ("level", "walks")]
+        end = [f"{best.end / 1e6:.1f}", f"{table.spread(back)}, {100 * fell.mean():.1f} %"]
+        rows.append([f"{ROBOT_OF[x]}, `best`", str(len(last)), *first, *end])
+        for label, job in zip(labels[x], (to_level[x], to_walk[x]), strict=True):
+            found, runs = table.reached(table.seeds(job), level), table.seeds(job)
+            end = cells(table.table({"": job}, table.best(job)).splitlines()[-1])[-2]
+            first = [table.steps_of(found.level), table.steps_of(found.walks)]
+            millions = f"{job[-1]['sim_steps'] / 1e6:.1f}"
+            rows.append([f"{ROBOT_OF[x]}, {label}", str(len(runs)), *first, millions, end])
+    assert shown == rows
+
+
+def test_what_the_page_says_of_ppo_on_the_exact_task():
+    table, jobs = less("ppo")
+    _, to_level, to_walk, mine = exact()
+    told, page = words(part("On fresh seeds, exact", "###")), words(PAGE.read_text())
+    its = {x: reached_of(to_level[x], level) for x, (_, level) in EXACT.items()}
+    best = {x: mine[x].level[:, 1] for x in EXACT}
+    go1, anymal = (stats.ratio(its[x], best[x]) for x in "gc")
+    text = f"To the level** PPO needs {go1.value:.1f} times the steps of `best` on a Go1 ({go1.low:.1f} to"
+    text += f" {go1.high:.1f}) and {anymal.value:.1f} times on an ANYmal-C ({span(anymal)})."
     assert text in told
-    sooner = {n[6:] for n, job in ran.items() if reached_of(job, level[n[-1]]).mean() < mine[n[-1]]}
-    assert {n for n in sooner if n[-1] == "g"} == {"128-kl5-g", "256-kl5-g", "128-kl3-g"}
-    assert "on a Go1 128 and 256 robots with a KL of 0.05, 128 with 0.03" in told
-    every = {round(steps_between(job) / 1e6, 2) for job in ran.values()}
-    assert every == {0.25} and "an evaluation every 0.25 M" in told
+    means = [its[x].mean() / 1e6 for x in "gc"]
+    text = "to the level, PPO needs {:.2f} M on a Go1 and {:.2f} M on an ANYmal-C:".format(*means)
+    assert f"{text} {go1.value:.1f} times the steps of `best` ({go1.low:.1f} to" in page
+    slow, soon = np.sort(best["g"])[-2:] / 1e6, its["g"].min() / 1e6
+    text = f"the two slowest of `best`, after {slow[0]:.2f} M, are later than the soonest of PPO, after"
+    assert f"{text} {soon:.2f};" in told and slow[0] == slow[1] > soon
+    assert its["c"].min() > best["c"].max()
+    # to a walk
+    ends = [to_walk[x][-1]["sim_steps"] / 1e6 for x in "gc"]
+    whole = to_level["g"][-1]["sim_steps"] / 1e6
+    text = f"at {ends[0]:.2f} of {whole:.2f} M (Go1) and at {ends[1]:.2f} (ANYmal-C)"
+    assert f"To a walk the runs were cut off**, {text}" in told
+    walked = {x: table.reached(table.seeds(to_walk[x]), EXACT[x][1]).walks for x in "gc"}
+    ours = mine["c"].walks[:, 1]
+    least = np.where(np.isnan(walked["c"]), 1e6 * ends[1], walked["c"])
+    assert np.isfinite(walked["c"]).sum() == 2 and np.isfinite(ours).all()
+    text = f"no ANYmal-C of PPO walks before {least.min() / 1e6:.2f} M. All five of `best` do, the last after"
+    most = 2 / math.comb(15, 5)
+    assert stats.rank_sum(least, ours) <= most + 1e-9 and least.min() > ours.max()
+    assert f"{text} {ours.max() / 1e6:.2f} (rank test, p at most {most:.4f})." in told
+    text = f"at once, PPO would still need {least.mean() / ours.mean():.1f} times the steps."
+    assert text in told
+    text = f"none of PPO's ten walks before {np.nanmin(walked['g']) / 1e6:.2f} M. With `best` two of five"
+    assert f"{text} do by {mine['g'].end / 1e6:.2f}, where their runs end" in told
+    assert np.isfinite(mine["g"].walks[:, 1]).sum() == 2
+    count = [
+        np.isfinite(table.reached(table.seeds(to_level[x]), EXACT[x][1]).walks).sum() for x in "gc"
+    ]
+    assert count == [3, 4] and "three of ten Go1 and four of ten ANYmal-C walk by 3.69 M" in told
+    other = words((EXPERIMENTS / "23_untuned/README.md").read_text())
+    assert "tuned for the level there three Go1 and four ANYmal-C of ten, by 3.7 M." in other
+    # before
+    before = [reached_of(jobs[f"exact-256-{x}"], EXACT[x][1]) for x in "gc"]
+    text = "PPO needed {:.2f} and {:.2f} M (`ppo_others.txt`".format(
+        *(x.mean() / 1e6 for x in before)
+    )
+    more = [stats.ratio(x, best[k]).value for x, k in zip(before, "gc", strict=True)]
+    assert text in told and "{:.1f} and {:.1f} times the steps of `best`. So".format(*more) in told
+    worth = [1 - its[k].mean() / x.mean() for x, k in zip(before, "gc", strict=True)]
+    assert np.allclose(worth, (0.25, 0.1), atol=0.02) and "a quarter and a tenth" in told
+    runs = sum(len(table.seeds(job)) for job in exact()[0].values())
+    assert f"PPO was tuned on this task, in {runs} runs" in told
+    # other pages
+    both = "{:.2f} and {:.2f} M".format(*means)
+    assert f"needs {both} (ten fresh seeds, today's task)" in other
+    assert f"{both}, ten fresh seeds, today's task)" in other
+    row_cost = words((EXPERIMENTS / ROW_COST / "runs.md").read_text())
+    text = f"it needs [{both} steps](../21_less/ppo_tasks.md#the-exact-task) on ten fresh seeds,"
+    text += f" {interval(go1)} and {anymal.value:.1f} times ({span(anymal)}) those of `best`"
+    assert text in row_cost
+    results, verdict = (
+        words(x.read_text()) for x in (ROOT / "docs/results.md", EXPERIMENTS / "README.md")
+    )
+    text = (
+        f"needs {interval(go1)} and {anymal.value:.1f} times ({span(anymal)}) the steps of `best`"
+    )
+    assert f"{text} to the level ([ten fresh seeds]" in results
+    text = (
+        f"needs {go1.value:.1f} times the steps of `best` to the level on a Go1 ({span(go1)}) and"
+    )
+    assert f"{text} {anymal.value:.1f} times on an ANYmal-C ({span(anymal)};" in verdict
+    first = words((EXPERIMENTS / ROW_COST / "README.md").read_text())
+    text = f"[{go1.value:.1f} and {anymal.value:.1f} times](../21_less/ppo_tasks.md#the-exact-task)"
+    assert f"PPO tuned there for few steps, whose seconds were not measured, needs {text}" in first
+
+
+def test_what_runs_next_on_the_exact_task_is_what_the_page_says():
+    """Three settings more, by the same rule, as long, with a KL that is halved as late."""
+    asked, base = paper.jobs(LESS / "ppo_exact_edges.txt"), paper.jobs(LESS / "ppo_exact.txt")
+    told = words(part("What comes next: 64 robots, and the walks", "###"))
+    assert f"`ppo_exact_edges.txt`, {len(asked)} jobs, seeds 0 to 2" in told
+    changes = {
+        "64-kl3": {"rollout.num_envs": 64},
+        "64-kl5": {"rollout.num_envs": 64, "ppo.desired_kl": 0.05},
+        "128-kl3-ep10": {"rollout.num_envs": 128, "ppo.epochs": 10},
+    }
+    assert asked.keys() == {f"exact-{n}-{x}" for n in changes for x in EXACT}
+    assert f"of all {len(SETTINGS) + len(changes)} settings" in told
+    for name, line in asked.items():
+        one, other = config_of(line), config_of(base[f"exact-256-kl3-{name[-1]}"])
+        steps = [schedule.sim_steps(x) for x in (one, other)]
+        assert steps[0][-1] == steps[1][-1]
+        late = [x[config.schedule.late_from] for x, config in zip(steps, (one, other), strict=True)]
+        assert late[0] == pytest.approx(late[1], rel=0.01)
+        pair = [flat(x) for x in (one, other)]
+        differ = {key: pair[0][key] for key in pair[0] if pair[0][key] != pair[1][key]}
+        scaled = {"run.num_iterations", "run.eval_every", "schedule.late_from"}
+        assert {k: v for k, v in differ.items() if k not in scaled} == changes[name[6:-2]], name
 
 
 def test_how_careful_the_page_says_that_each_was_tuned():
     """Runs and settings of PPO, of the longer tails, of `deploy`."""
     told, table = words(PAGE.read_text()), less("ppo")[0]
     runs = sum(len(table.seeds(job)) for job in grid().values())
-    assert f"PPO has these {runs} runs, of eleven settings" in told and len(SETTINGS) == 11
+    assert f"PPO has these {runs} runs, of 17 settings" in told and len(SETTINGS | EDGES) == 17
     others = [n for n in paper.jobs(LESS / "ppo_others.txt") if n.startswith("deploy")]
     count = {n: sum(f"-{n}-" in name for name in others) * 3 for n in (256, 512, 1024)}
     assert (count[256], count[512] + count[1024]) == (6, 12)

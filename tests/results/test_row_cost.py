@@ -27,7 +27,7 @@ def test_the_pages_of_seconds_have_the_tables_of_their_runs(monkeypatch, capsys)
     ):
         page = (EXPERIMENTS / ROW_COST / f"{name}.md").read_text().splitlines()
         rows = [line for line in printed.splitlines() if line.startswith(places)]
-        assert len(rows) >= (95 if name == "runs" else 9)
+        assert len(rows) >= (99 if name == "runs" else 11)
         assert rows == [line for line in page if line.startswith(places)]
 
 
@@ -156,14 +156,15 @@ def test_where_no_go1_ran_and_what_was_not_tuned_is_as_the_pages_of_seconds_say(
     level = table.break_even(best, ppos, own, table.POWERS["a GPU"])
     walk = table.even(table.to_walk(best), [table.to_walk(x) for x in ppos], own)
     go1 = [table.cost(found, run) for run in found if run.place.startswith("go1.")]
-    below, above = max(x for x in go1 if x < level[0]), min(x for x in go1 if x > level[0])
+    late = float(walk.split()[0])
+    below, above = max(x for x in go1 if x < late), min(x for x in go1 if x > late)
     for text in (
         "more than {:.2f} ms ({:.2f} to {:.2f})".format(*level),
         f"sooner from {walk.replace(' (', ' ms on (')}.",
         f"No Go1 ran between {below:.1f} and {above:.1f} ms.",
     ):
         assert text in pages["README"], text
-    assert below < level[0] < float(walk.split()[0]) < above
+    assert level[0] < below < late < above
     for place, most in (
         ("go1.warp", 2048),
         ("go1.exact", 2048),
@@ -240,6 +241,16 @@ def test_the_lead_of_the_page_of_seconds_is_so():
     low = costs.pop("go1.kernel")
     values = [one.value for one in times.values()]
     text = text.format(low, min(costs.values()), max(costs.values()), min(values), max(values))
+    fine = [table.settings(found, f"go1.fine{steps}") for steps in (16, 32)]
+    clocks = [(ppo.level[:, 2], best.level[:, 2]) for best, (ppo,) in fine]
+    assert clocks[0][0].mean() < clocks[0][1].mean() and clocks[1][0].mean() > clocks[1][1].mean()
+    p = stats.holm([stats.welch_of(*pair) for pair in clocks])
+    around_it = (
+        "PPO is sooner in the mean at {:.2f} ms, and `best` at {:.2f}; five seeds show neither (p by Holm"
+        " {:.2f} and {:.3f}). At"
+    )
+    text = around_it.format(*(table.cost(found, best) for best, _ in fine), *p) + text[2:]
+    assert min(p) > 0.05 and {len(x) for pair in clocks for x in pair} == {5}
     cores = {x[2]: x.level[:, 2] for x in found if x[:2] == ("go1.laptop", "two cores, 2026-11-29")}
     longer = stats.ratio(cores["again-ppo512"], cores["again-best"])
     told = "On two CPU cores `best` is sooner than PPO with as many robots,"
@@ -269,7 +280,8 @@ def test_what_was_computed_beside_what_ppo_took_is_as_the_pages_say():
             continue
         for other in found:
             robot = own.place.partition(".")[0]
-            dear = other.place in (f"{robot}.warp", f"{robot}.jax") and len(other.level) >= 5
+            engines = "warp", "jax", "fine16", "fine32"
+            dear = other.place in [f"{robot}.{x}" for x in engines] and len(other.level) >= 5
             if dear and own.method == other.method and own.method.startswith("ppo"):
                 ms = table.cost(found, other)
                 took = table.later(own, table.cost(found, own), ms, table.power_of(other.place))
@@ -283,8 +295,10 @@ def test_what_was_computed_beside_what_ppo_took_is_as_the_pages_say():
         ("go1.warp", "ppo2048"),
         ("go1.jax", "ppo2048"),
         ("g1.warp", "ppo1024x12"),
+        ("go1.fine16", "ppo2048"),
+        ("go1.fine32", "ppo2048"),
     }
-    assert len(gaps) == 4 and all(gap.low < 0 < gap.high for gap, _, _ in gaps.values())
+    assert len(gaps) == 6 and all(gap.low < 0 < gap.high for gap, _, _ in gaps.values())
     mine = [x for x in found if x[1:3] == (day, "best") and x.place in ("go1.kernel", "go1.warp")]
     ours, dear = sorted(mine, key=lambda one: one.place)
     at = table.later(
@@ -292,7 +306,7 @@ def test_what_was_computed_beside_what_ppo_took_is_as_the_pages_say():
     )
     slower = stats.difference(dear.level[:, 2], at)
     text = (
-        "of PPO no difference is shown in four of five cases; in the fifth (1024 robots, MJX-JAX) it took"
+        "of PPO no difference is shown in six of seven cases; in the seventh (1024 robots, MJX-JAX) it took"
         f" {few.value:.1f} s less than computed ({few.low:.1f} to {few.high:.1f}). `best` took"
         f" {around(slower, 2, ' s longer with MuJoCo Warp')}"
     )
@@ -329,7 +343,7 @@ def test_seconds_and_steps_are_drawn_over_the_cost_of_a_row(drawn, monkeypatch):
         for what in ("seconds of training", "million simulator steps")
     ]
     words = [[text.get_text() for text in axis.texts] for axis in axes]
-    assert all([x for x in some if x.isdigit()] == [*"123456789"] for some in words)
+    assert all([x for x in some if x.isdigit()] == [*map(str, range(1, 12))] for some in words)
     some = [sorted(x for x in few if " of " in x) for few in words]
     assert some[:2] == [[], []]
     # ANYmal-C with PPO, the exact Go1 with `best`, then PPO on rough ground and on two cores, `best` with JAX
@@ -354,8 +368,27 @@ def test_seconds_and_steps_are_drawn_over_the_cost_of_a_row(drawn, monkeypatch):
         np.testing.assert_allclose(found, expected)
     never = [("go2.rough", "best-r1e3"), ("g1.kernel", "best-kl4e3")]
     assert all(np.isnan(run[key].walks).any() for key in never)
-    assert "below where all seeds walk, so not of 2 and 3." in row_cost_words("README")
+    assert "below where all seeds walk, so not of 2 and 4." in row_cost_words("README")
     assert [few.count(plot.NONE["marker"]) for few in marks] == [0, 0, 1, 1]  # no PPO walks
+    # the caption's numbers, and which marks stand aside
+    found = table.runs()
+    pairs = [table.settings(found, place) for place in dict.fromkeys(x.place for x in found)]
+    pairs = [both for both in pairs if both]
+    places = [best.place for best, _ in pairs]
+    assert [places[k - 1] for k in (2, 4, 7, 9)] == [
+        "go2.rough",
+        *("g1.kernel go1.exact g1.warp".split()),
+    ]
+    costs = np.array([table.cost(found, best) for best, _ in pairs])
+    moved = np.abs(plot.apart([*costs]) / costs - 1)
+    aside = [number for number, share in enumerate(moved, 1) if share > 0.03]
+    assert (aside[0], aside[-1]) == (4, 8) and f"{max(moved):.1f}" == "0.2"
+    words = (
+        "of 7 with one seed counted up to its end.",
+        "of 9 the second run alone.",
+        "Marks 4 to 8 stand up to",
+    )
+    assert all(x in row_cost_words("README") for x in words)
 
 
 def test_to_a_walk_ppo_is_drawn_with_the_setting_of_which_most_seeds_walk():

@@ -10,6 +10,7 @@ from result_files import (
     ROW_COST,
     around,
     headline,
+    of_host,
     ours_of,
     row_cost_words,
     script,
@@ -398,7 +399,8 @@ def test_the_first_two_seeds_are_a_little_slow_with_our_kernel_too():
     """Of processes on H200s with three seeds or more: our kernel in a Go1's, a Go2's and a G1's; MJX-JAX."""
     table, jobs = script(f"{ROW_COST}/table"), {}
     for row in table.read():
-        if row["device"] == "NVIDIA H200" and not row.get("run"):
+        # `fine` begins each process with two that are thrown away
+        if row["device"] == "NVIDIA H200" and not row.get("run") and " warmup=" not in row["job"]:
             process = row["batch"], row["name"], row["row_ms"]
             jobs.setdefault(process, {})[row["seed"]] = (
                 1e3 * float(row["seconds"]) / int(row["iteration"])
@@ -440,7 +442,7 @@ def test_ppo_for_seconds_is_an_older_setting_than_the_headlines():
         if re.match(r"(go1|anymal_c)\..*ppo\d+$", name)
         and not re.match(r"go1\.laptop.*ppo512", name)
     ]
-    assert len(older) == 24
+    assert len(older) == 25
     for config in older:
         own = config.ppo.gamma, config.ppo.lambda_, config.ppo.desired_kl, config.rollout.horizon
         assert own == (0.97, 0.9, 0.03, 24) and not config.task.carry_on
@@ -518,9 +520,16 @@ def test_what_runs_again_is_as_before_on_new_seeds_and_as_its_rules_say():
         half = then["schedule.late_from"] * 128 / 2048
         assert (now["ppo.lambda_"], now["ppo.desired_kl"]) == (0.85, 0.04)
     rows = table.read()
-    had = {int(x["seed"]) for x in rows if x["job"].startswith("go1") and x["device"] != "cpu"}
-    assert not had & {*range(1110, 1120)}
+    had = {}
+    for x in rows:
+        if x["job"].startswith("go1") and x["device"] != "cpu":
+            had.setdefault(x["name"], set()).add(int(x["seed"]))
+    since = {name: some for name, some in had.items() if some & {*range(1110, 1120)}}
+    fine = {f"go1.fine{steps}.{x}" for steps in (16, 32) for x in ("best", "ppo2048")}
+    assert {*since} == fine and all(x == {*range(1110, 1115)} for x in since.values())
     page = row_cost_words("next")
+    words = "Since then 1110 to 1114 have run with [more physics steps in a row](runs.md#more-physics-steps)"
+    assert words in page and "fine16" not in page and "fine32" not in page
     assert f"With 2048 robots that is iteration {half:.0f}, long before `ppo2048`" in page
     # all that has not run is named, and nothing else
     ran = {(x["name"], x["seed"]) for x in rows}
@@ -559,31 +568,192 @@ def test_what_runs_again_is_as_before_on_new_seeds_and_as_its_rules_say():
     assert table.compared([*found, *new]) == table.compared(found)
 
 
-def test_a_row_of_more_physics_steps_is_as_long_and_its_rule_expects_what_is_computed():
-    """`fine` of next.md: the control step of `again-`, divided oftener; nothing else is otherwise."""
-    table, measure = script(f"{ROW_COST}/table"), script(f"{ROW_COST}/run")
+def test_a_row_of_more_physics_steps_is_as_long():
+    """`fine` of runs.md and next.md: the control step of `again-`, divided oftener, and nothing else, but
+    that 64 steps are on seeds of their own."""
+    measure = script(f"{ROW_COST}/run")
     lines = (EXPERIMENTS / ROW_COST / "jobs.txt").read_text().splitlines()
     asked = {name: measure.read(job, fields) for name, job, *fields in map(str.split, lines)}
-    for steps, method in itertools.product((16, 32), ("best", "ppo2048")):
+    for steps, method in itertools.product((16, 32, 64), ("best", "ppo2048")):
         one, other = asked[f"go1.fine{steps}.{method}"], asked[f"go1.kernel.again-{method}"]
         now, then = (config_fields.flat(x.config) for x in (one, other))
         changed = {key for key in now if now[key] != then[key]}
-        assert changed == {"physics.substeps", "physics.timestep"}
-        assert now["physics.substeps"] == steps
+        seed = now["run.seed"]
+        assert seed == (1120 if steps == 64 else 1110)
+        assert changed - {"run.seed"} == {"physics.substeps", "physics.timestep"}
+        assert now["physics.substeps"] == steps and then["physics.substeps"] == 4
         length = [x["physics.substeps"] * x["physics.timestep"] for x in (now, then)]
         assert length == pytest.approx([0.02, 0.02])
         assert one[2:] == other[2:] and one.seeds == 5 and one.warmup == 2
+
+
+def test_what_is_expected_of_64_physics_steps_is_computed_from_the_runs_with_4():
+    """By the cost that 16 and 32 steps had; on seeds that no Go1 has run on."""
+    table = script(f"{ROW_COST}/table")
     found = table.runs()
+    text = (EXPERIMENTS / ROW_COST / "next.md").read_text().split("## The rule of `fine64`\n")[1]
+    told = " ".join(text.split("\n## ")[0].split())
+    two = [table.cost(found, table.settings(found, f"go1.fine{n}")[0]) for n in (16, 32)]
+    ms = two[1] + (64 - 32) * (two[1] - two[0]) / (32 - 16)
+    assert f"we expect {ms:.2f} ms a row" in told
     best, ppos = table.settings(found, "go1.kernel")
     (ppo,) = [x for x in ppos if x.method == "ppo2048"]
     own, power = table.cost(found, best), table.power_of("go1.kernel")
-    cheap, dear = (
-        [table.later(x, own, ms, power).mean() for x in (best, ppo)] for ms in (0.5, 0.95)
+    level, walk = (
+        [table.later(way(x), own, ms, power) for x in (best, ppo)]
+        for way in (lambda x: x, table.to_walk)
     )
-    told = "at 0.5 ms `best` takes {:.2f} s and PPO {:.2f}, which five seeds may not show, and at 0.95 ms "
-    assert told.format(*cheap) + "{:.2f} and {:.2f}, which they do.".format(
-        *dear
-    ) in row_cost_words("next")
+    text = (
+        f"{level[0].mean():.2f} s with `best` and {level[1].mean():.2f} with PPO, which five seeds"
+    )
+    last = f"{walk[0].mean():.1f} and {walk[1].mean():.1f}, which they do not."
+    assert f"{text} do show; to a walk {last}" in told
+    assert stats.welch_of(*level) < 0.001 and stats.welch_of(*walk) > 0.05
+    ran = (row for row in table.read() if "laptop" not in row["name"])
+    assert not any(int(row["seed"]) in range(1118, 1125) for row in ran)
+
+
+def test_what_the_pages_say_of_a_row_of_more_physics_steps_is_so():
+    """By the rule set before them: two Welch tests of the seconds to the level, by Holm; what had been
+    expected, and what is computed from the runs with 4 physics steps."""
+    table, batch = script(f"{ROW_COST}/table"), "H200, 2026-11-29, third host"
+    found, jobs = table.runs(), of_host(table, batch)
+    lines = (EXPERIMENTS / ROW_COST / "jobs.txt").read_text().splitlines()
+    assert {*jobs} == {f"go1.fine{n}.{x}" for n in (16, 32) for x in ("best", "ppo2048")}
+    slower, each = {}, []  # % of the first two seeds; s of ten iterations
+    for name, seeds in jobs.items():
+        rows = [row for some in seeds.values() for row in some]
+        assert [*map(int, seeds)] == [*range(1110, 1115)]
+        assert {f"{name} {row['job']}" for row in rows} <= {*lines}
+        assert {(row["commit"], row["device"]) for row in rows} == {("32eca1697358", "NVIDIA H200")}
+        assert all(
+            int(x["iteration"]) == 10 * k for some in seeds.values() for k, x in enumerate(some, 1)
+        )
+        ms = [1e3 * float(x[-1]["seconds"]) / int(x[-1]["iteration"]) for x in seeds.values()]
+        slower[name.partition(".")[2]] = 100 * (np.mean(ms[:2]) / np.mean(ms[2:]) - 1)
+        each.append(np.mean(ms) / 100)
+    pairs = [table.settings(found, f"go1.fine{steps}") for steps in (16, 32)]
+    both = [(best, ppo) for best, (ppo,) in pairs]
+    costs = [table.cost(found, best) for best, _ in both]
+    assert all(np.isfinite([x.level, x.walks]).all() for pair in both for x in pair)
+    clocks = [[x.level[:, 2] for x in pair] for pair in both]
+    walks = [[x.walks[:, 2] for x in pair] for pair in both]
+    p = [stats.welch_of(*pair) for pair in clocks]
+    holm = stats.holm(p)
+    assert min(holm) > 0.05 and costs[0] < 0.5 and costs[1] < 0.95  # "shown at neither"; "cheaper"
+    less, more = stats.difference(*clocks[0]), stats.difference(*clocks[1][::-1])
+    sooner = [stats.difference(*pair) for pair in walks]
+    # expected, and computed at the costs that rows had, from the runs with 4
+    best, ppos = table.settings(found, "go1.kernel")
+    (ppo,) = [x for x in ppos if x.method == "ppo2048"]
+    own, power = table.cost(found, best), table.power_of("go1.kernel")
+
+    def at(ms, way=lambda one: one):
+        return [table.later(way(x), own, ms, power) for x in (best, ppo)]
+
+    expected = [x.mean() for ms in (0.5, 0.95) for x in at(ms)]
+    levels, walking = ([at(ms, way) for ms in costs] for way in (lambda x: x, table.to_walk))
+    for measured, computed in ((clocks, levels), (walks, walking)):
+        for some, others in zip(measured, computed, strict=True):
+            gaps = [stats.difference(*x) for x in zip(some, others, strict=True)]
+            assert all(gap.low < 0 < gap.high for gap in gaps)  # "Of none a difference is shown"
+    even = [
+        (table.even(one, [two], ms), table.even(table.to_walk(one), [table.to_walk(two)], ms))
+        for (one, two), ms in zip(both, costs, strict=True)
+    ]
+    many = [pair[1].row for pair in both]
+    shares = [row / ms for row, ms in zip(many, costs, strict=True)]
+    rows = [[(x.level[:, 1] / x.robots).mean() for x in pair] for pair in both]
+    rest = [
+        [
+            np.mean((1e3 * x.level[:, 2] - x.level[:, 1] / x.robots * x.row) / x.level[:, 0])
+            for x in pair
+        ]
+        for pair in both
+    ]
+
+    def line(label, computed, measured, k):
+        some = [table.interval(x[k]) for two in zip(computed, measured, strict=True) for x in two]
+        return f"| {label} | " + " | ".join(some) + " |"
+
+    pages = {name: row_cost_words(name) for name in ("README", "runs", "computed")}
+    times = [stats.ratio(*pair[::-1]) for pair in clocks]
+    steps = [stats.ratio(two.level[:, 1], one.level[:, 1]) for one, two in both]
+    means = [[x.mean() for x in pair] for pair in (*clocks, *walks)]
+    few = "{:.0f} times the steps ({:.2g} to {:.0f})"
+    told = {
+        "runs": [
+            f"every 10 iterations, {min(each):.2f} to {max(each):.2f} s of training, on 500 episodes",
+            f"At {costs[0]:.3f} ms PPO takes {around(less, 2, ' s less')[:-1]}, p {p[0]:.2f}, by Holm"
+            f" {holm[0]:.2f}), at {costs[1]:.3f} ms {around(more, 2, ' s more than `best`')[:-1]}, p"
+            f" {p[1]:.3f}, by Holm {holm[1]:.3f}).",
+            "We had expected 0.5 and 0.95 ms. [By computation](computed.md) `best` takes {:.2f} s and PPO"
+            " {:.2f} at 0.5 ms, which five seeds may not show, and {:.2f} and {:.2f} at 0.95 ms,".format(
+                *expected
+            ),
+            f"16 physics steps more took {costs[1] - costs[0]:.2f} ms, not {0.95 - 0.5:.2f}.",
+            f"PPO takes {means[2][1]:.2f} and `best` {means[2][0]:.2f} s at {costs[0]:.3f} ms:"
+            f" {around(sooner[0], 2, ' s less')}; {means[3][1]:.2f} and {means[3][0]:.2f} s at"
+            f" {costs[1]:.3f} ms: {around(sooner[1], 2, ' less')}.",
+            f"is {even[0][0].replace(' (', ' ms (')} with 16 and {even[1][0]} with 32 physics steps; to"
+            f" a walk {even[0][1]} and {even[1][1][:-1]}; all computed).",
+            "took {:.2f} and {:.2f} ms, {:.2f} and {:.2f} times one of 1024; computed is {:.2f}.".format(
+                *many, *shares, 2**power
+            ),
+            "of `best` take {:.1f} and {:.1f} % longer an iteration than the other three, though two were"
+            " thrown away before them, those of PPO {:.1f} and {:.1f} %.".format(
+                *(slower[f"fine{n}.{x}"] for x in ("best", "ppo2048") for n in (16, 32))
+            ),
+        ],
+        "computed": [
+            "| | computed at {:.3f} ms | measured, 16 | computed at {:.3f} ms | measured, 32 |".format(
+                *costs
+            ),
+            line("`best`, to the level", levels, clocks, 0),
+            line("PPO, 2048 robots, to the level", levels, clocks, 1),
+            line("`best`, to a walk", walking, walks, 0),
+            line("PPO, 2048 robots, to a walk", walking, walks, 1),
+            f"is {even[0][0].replace(' (', ' ms (')} and {even[1][0]}, to a walk {even[0][1]} and"
+            f" {even[1][1]}.",
+            "needs {:.0f} and {:.0f} rows of 1024 robots, PPO {:.0f} and {:.0f} of 2048. All else takes"
+            " {:.1f} and {:.1f} ms an iteration with `best`, {:.1f} and {:.1f} with PPO.".format(
+                *np.transpose(rows).ravel(), *np.transpose(rest).ravel()
+            ),
+        ],
+        "README": [
+            "a row costs {:.2f} or {:.2f} ms. At {:.2f} ms a Go1".format(*costs, costs[0]),
+            f"after {means[0][0]:.2f} s with `best` and {means[0][1]:.2f} with PPO, which takes"
+            f" {around(times[0], 2, ' times as long')}, for {few.format(*steps[0])}.",
+            f"At {costs[1]:.2f} ms it is {means[1][0]:.2f} and {means[1][1]:.2f} s: PPO takes"
+            f" {around(times[1], 2, ' times as long')[:-1]}, not corrected), for"
+            f" {few.format(*steps[1])}.",
+            f"at neither cost (Welch's p by Holm {holm[0]:.2f} and {holm[1]:.3f}). To a walk, told without a"
+            f" test, PPO takes {means[2][1]:.2f} instead of {means[2][0]:.2f} s, and {means[3][1]:.2f}"
+            f" instead of {means[3][0]:.2f}.",
+            "it is {} and {} ms, to a walk {} and {}.".format(
+                *(even[k][way].partition(" ")[0] for way in (0, 1) for k in (0, 1))
+            ),
+        ],
+    }
+    for name, texts in told.items():
+        for text in texts:
+            assert text in pages[name], (name, text)
+    assert (
+        "The rule, set before they ran**: seconds to the level, a Welch test at each cost"
+        in pages["runs"]
+    )
+    for name, words in (
+        ("docs/results.md", "at neither (p by Holm {:.2f} and {:.3f})"),
+        ("experiments/README.md", "five seeds show neither (Holm {:.2f} and {:.3f})"),
+        (
+            "README.md",
+            "Of 1.04 and 0.95, of 1.10 and 1.36, and of 3.75 and 3.59 no difference is shown.",
+        ),
+    ):
+        page = " ".join((EXPERIMENTS.parent / name).read_text().split())
+        assert words.format(*holm) in page, name
+    plan = (EXPERIMENTS / "next.txt").read_text() + (EXPERIMENTS / "folders.md").read_text()
+    assert "fine16" not in plan and "16 and 32 physics steps" not in plan
 
 
 def test_how_the_second_host_of_2026_11_29_ran_is_as_the_page_of_runs_says():

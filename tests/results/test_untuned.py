@@ -386,23 +386,6 @@ def test_the_tables_of_best_are_those_of_its_runs():
     assert f"It needs {min(more):.0f} to {max(more):.0f} times the steps of `best`" in WORDS
 
 
-def test_ppo_of_the_exact_task_is_that_of_21_less():
-    """Its soonest to the level there, 256 robots; those that walk."""
-    table = script("21_less/table")
-    jobs = table.read(LESS / "results/ppo.csv.xz")
-    found = [
-        table.reached(table.seeds(jobs[name]), level)
-        for name, level in (("exact-256-g", 38), ("exact-256-c", 24))
-    ]
-    steps = [one.level.mean() / 1e6 for one in found]
-    assert [int(np.isfinite(one.walks).sum()) for one in found] == [2, 2]
-    (walks,) = {f"{np.nanmean(one.walks) / 1e6:.1f}" for one in found}
-    assert f"of that PPO two of three on each robot ({walks} M)" in WORDS
-    text = "on the task of `best` needs {:.2f} and {:.2f} M (three tuning seeds, today's task)"
-    assert text.format(*steps) in WORDS.split("cd experiments/23_untuned")[0]
-    assert "{:.2f} and {:.2f} M, 256 robots, three tuning seeds".format(*steps) in WORDS
-
-
 def test_the_older_best_and_ppo_16_of_the_exact_task():
     """To the level, those that walk, and how they end: `best` less PPO-16."""
     table, jobs = read("best")
