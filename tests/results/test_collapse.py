@@ -685,7 +685,7 @@ def test_the_pages_say_what_anchors_do_on_other_robots(gpu):
     assert near == table.NEAR["g"] == 2 and "after the runs we took Go1's, 2 of 45" in words
     assert f"the interval reaches {-low - near:.2f} and {high - near:.2f} beyond 2" in words
     assert {f"{x:.1f}" for x in means} == {"38.4"}
-    text = "A Go2 has 38.4 of 45 without anchors, and with robots made anew;"
+    text = "A Go2 has 38.4 of 45 both without anchors and with robots made anew;"
     assert text in words
     told = f"Go2 {less:.1f} higher ({-low:.1f} lower to {high:.1f} higher)"
     assert all(told in other_page(x) for x in (".", "paper"))

@@ -633,7 +633,9 @@ def test_what_longer_tails_save_on_fresh_seeds_is_that_of_their_runs():
     its = np.concatenate([reached_of(jobs[f"deploy-{n}-c"], 20) / 1e6 for n in (256, 512, 1024)])
     there = its[~np.isnan(its)]
     assert (len(its), len(there)) == (9, 3)
-    told = "with these tails all are by {:.2f}. In longer runs with settings of another task three of nine"
+    told = (
+        "with these tails all by {:.2f}. In longer runs with settings of another task three of nine"
+    )
     told += " ANYmal-C of PPO are there, after {:.1f} to {:.1f} M."
     last = max(first["1024", x].max() for x in "cd")
     assert told.format(last, there.min(), there.max()) in text

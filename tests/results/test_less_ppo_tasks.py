@@ -72,10 +72,17 @@ def words(text):
 @functools.cache
 def grid():
     """All 17 settings on four robots."""
-    table = less("ppo")[0]
-    return {
-        n: job for k in ("9", "12") for n, job in table.read(LESS / "results/ppo.csv.xz", k).items()
-    }
+    return batches("9", "12")
+
+
+def batches(*names):
+    """Jobs of ppo.csv.xz by name; each is in one batch."""
+    table, found = less("ppo")[0], {}
+    for name in names:
+        ran = table.read(LESS / "results/ppo.csv.xz", name)
+        assert not ran.keys() & found.keys(), name
+        found |= ran
+    return found
 
 
 @functools.cache
@@ -396,7 +403,8 @@ def test_the_tables_of_ppo_for_hardware_on_fresh_seeds_are_those_of_their_runs()
     text += f" times those of `deploy` (95 %: {span(g[0])}) and {h[0].value:.1f} times"
     text += f" ({span(h[0])}), and {interval(g[1])} and {h[1].value:.1f} times"
     assert f"{text} ({span(h[1])}) those of longer tails." in told
-    text = f"An ANYmal-C of PPO is at 15 after {means['c']:.2f} M, {c[0].value:.1f} and {c[1].value:.1f}"
+    text = "An ANYmal-C of PPO is at 15, a goal set after looking at tuning runs, after"
+    text += f" {means['c']:.2f} M, {c[0].value:.1f} and {c[1].value:.1f}"
     text += f" times as many ({span(c[0])}; {span(c[1])})"
     assert text in told
     # to 35
@@ -414,8 +422,11 @@ def test_the_tables_of_ppo_for_hardware_on_fresh_seeds_are_those_of_their_runs()
     # the ANYmals to 15 and 20
     its, mine, tails = ([reached_of(of_fresh(x)[k], 20) / 1e6 for x in "cd"] for k in range(3))
     assert [int(np.isfinite(x).sum()) for x in its] == [0, 3]
-    assert "At 20 three of these twenty are by then" in told
-    text = f"all ten with longer tails by {np.concatenate(tails).max():.1f}"
+    by_then = sum((x < 18.432).sum() for x in mine)
+    assert (
+        by_then == 1 and "At 20 three of these twenty are by then, of `deploy` one of ten," in told
+    )
+    text = f"with longer tails all ten by {np.concatenate(tails).max():.1f}"
     assert text in told and np.isfinite(np.concatenate(tails)).all()
     first, last = np.nanmin(its[1]), np.nanmax(its[1])
     text = f"no ANYmal-C is there by 18.4 M, and three of ten ANYmal-D after {first:.1f} to {last:.1f}."
@@ -432,6 +443,28 @@ def test_the_tables_of_ppo_for_hardware_on_fresh_seeds_are_those_of_their_runs()
     by_then = [reached_of(of_fresh(x)[0], 20)[k] for x, k in zip("cd", nine, strict=True)]
     assert np.concatenate(by_then).min() > 9.2e6
     assert "at 20 by 9.2 M, and most by 18.4. None and three of twenty are." in told
+    # as the settings were tuned
+    names = [f"deploy-{name}-{x}" for x, (name, _) in TAKEN.items()]
+    then = [reached_of(grid()[n], ASKED[n[-1]]) / 1e6 for n in names]
+    assert [int(np.isfinite(x).sum()) for x in then] == [3, 2, 3, 2]
+    text = (
+        "needed {:.2f} M (Go1), {:.2f} (Go2; two of three get there), {:.2f} (ANYmal-C) and {:.2f}"
+    )
+    text += " (ANYmal-D;"
+    assert text.format(*map(np.nanmean, then)) in told
+    # other settings, longer
+    _, jobs = less("ppo")
+    few, many = (reached_of(jobs[f"deploy-{n}-c"], 15) for n in (512, 1024))
+    of_deploy = reached_of(of_fresh("c")[1], 15)
+    shares = [stats.ratio(x, of_deploy).value for x in (few, many)]
+    text = f"is at 15 sooner, after {few.mean() / 1e6:.1f} and {many.mean() / 1e6:.1f} M (ANYmal-C;"
+    assert f"{text} {shares[0]:.1f} and {shares[1]:.1f} times `deploy`)" in told
+    ends = [table.between(x, 18.4e6, "return") for x in (jobs["deploy-1024-c"], of_fresh("c")[0])]
+    value, low, high = stats.difference(*ends)
+    assert (
+        f"returns {value:.1f} more there than this PPO, {low:.1f} to {high:.1f}, on tuning seeds"
+        in told
+    )
     # at equal steps
     more = {
         (x, at): [stats.difference(table.between(job, at * 1e6, "return"), its) for job in ours]
@@ -501,7 +534,8 @@ def test_other_pages_say_the_same_of_ppo_for_hardware():
     assert text in page
     fifteen = [reached_of(job, 15) / 1e6 for job in of_fresh("c")[:2]]
     three = stats.ratio(*fifteen)
-    text = f"An ANYmal-C of PPO is at 15 after {fifteen[0].mean():.1f} M steps, {three.value:.1f} times as"
+    text = "An ANYmal-C of PPO is at 15, a goal set after looking at tuning runs, after"
+    text += f" {fifteen[0].mean():.1f} M steps, {three.value:.1f} times as"
     text += f" many ({span(three)}); of ten ANYmal-D six are by 18.4 M, all five of `deploy`"
     assert f"{text} by {reached_of(of_fresh('d')[1], 15).max() / 1e6:.2f}." in page
     text = f"a Go1 is at 30 after {mine.mean():.1f} M steps, with a PPO [tuned on this"
@@ -522,16 +556,25 @@ def test_other_pages_say_the_same_of_ppo_for_hardware():
     value, low, high = stats.difference(at[9.2][1], at[9.2][0])
     text = f"returns {at[9.2][1].mean():.1f}, with PPO {at[9.2][0].mean():.1f}"
     assert f"{text} ({value:.1f} more; {-low:.1f} less to {high:.1f} more)" in page
-    assert f"the Go1 {text} ({value:.1f} more; {-low:.1f} less to {high:.1f} more);" in results
+    assert (
+        f"after 9.2 M it {text} ({value:.1f} more; {-low:.1f} less to {high:.1f} more);" in results
+    )
     means = [reached_of(of_fresh(x)[0], 35).mean() / 1e6 for x in "gh"]
     last = max(reached_of(of_fresh(x)[2], 35).max() for x in "gh") / 1e6
     text = "At 35 its ten Go1 are after {:.1f} M in the mean and its ten Go2 after {:.1f},"
     assert f"{text.format(*means)} with these tails all by {last:.2f}." in steps
     twenty = [reached_of(of_fresh(x)[2], 20).max() / 1e6 for x in "cd"]
-    text = f"three are at 20 by 18.4 M, with these tails all are by {max(twenty):.2f}."
+    text = f"three are at 20 by 18.4 M, of `deploy` one of ten, with these tails all by {max(twenty):.2f}."
     assert text in steps
     assert "Of ten of that PPO none is there by 18.4 M" in page
-    assert "with the tuned one none of ten is there by 18.4." in results
+    anymal = [table.between(job, 18.4e6, "return") for job in of_fresh("c")[:2]]
+    value, low, high = stats.difference(*anymal[::-1])
+    text = f"returns {value:.1f} more than the tuned PPO after 18.4 M ({low:.1f} to {high:.1f})"
+    assert text in page and text.replace("than the", "than with the") in results
+    other = less("ppo")[1]["deploy-1024-c"]
+    value, low, high = stats.difference(anymal[1], table.between(other, 18.4e6, "return"))
+    text = f"({-value:.1f} less; {-low:.1f} less to {high:.1f} more; three tuning seeds)"
+    assert text in page and high > 0
 
 
 def test_the_table_of_longer_runs_of_ppo_for_hardware_is_that_of_its_runs():
@@ -541,7 +584,7 @@ def test_the_table_of_longer_runs_of_ppo_for_hardware_is_that_of_its_runs():
         n: job for n, job in paper.jobs(LESS / "ppo_others.txt").items() if n.startswith("deploy")
     }
     text = part("Hardware").split("### Longer runs\n")[1]
-    shown = [cells(line) for line in text.splitlines() if line.startswith("| `deploy`, ")]
+    shown = [cells(line) for line in text.splitlines() if line.startswith("| PPO, ")]
     assert shown == rows_of({n: job for n, job in asked.items() if "-256-" not in n})
     told, anymal = words(text), [jobs[f"deploy-{n}-c"] for n in (256, 512, 1024)]
     levels = {"g": 38, "c": 24}
@@ -598,10 +641,10 @@ def test_the_table_of_longer_runs_of_ppo_for_hardware_is_that_of_its_runs():
     page, results = (
         words(path.read_text()) for path in (DEPLOY / "README.md", ROOT / "docs/results.md")
     )
-    text = f"An ANYmal-C takes {twenty.mean():.1f} M steps to 20"
+    text = f"It takes {twenty.mean():.1f} M steps to 20"
     assert f"{text} (five seeds, the soonest {twenty.min():.1f})." in page
-    text = f"the ANYmal-C takes {twenty.mean():.1f} M steps to 20, and with a PPO of few robots, not tuned on"
-    assert f"{text} this task, three of nine take 14 to 19;" in results
+    text = f"takes {twenty.mean():.1f} M steps to 20, and with a PPO of few robots, not tuned on"
+    assert f"{text} this task, three of nine take 14 to 19." in results
     assert "three of nine runs, with 512 and 1024 robots, take 14 to 19" in page
 
 
@@ -610,13 +653,13 @@ def rows_of(asked):
     table, jobs = less("ppo")
     rows = []
     for name, line in asked.items():
-        job, (task, robots, letter) = jobs[name], name.split("-")
+        job, (_, robots, letter) = jobs[name], name.split("-")
         assert job[0]["job"] == line and {x["batch"] for x in job} == {
             "7" if letter == "c" else "6"
         }
         assert job[-1]["iteration"] == float(re.search(r"num_iterations=(\d+)", line)[1])
         row = cells(table.table({name: job}, table.best(job)).splitlines()[-1])
-        label = f"{task if task == 'exact' else '`deploy`'}, {ROBOT_OF[letter]}, {robots} robots"
+        label = f"PPO, {ROBOT_OF[letter]}, {robots} robots"
         rows.append([label, *row[5:8], row[3], row[2], *row[9:11]])
     return rows
 
@@ -628,15 +671,10 @@ EXACT = {"g": ("go1.exact", 38), "c": ("anymal_c.exact", 24)}  # the place of 30
 def exact():
     """The grid of the exact task; its fresh runs to the level; those to a walk, cut off; `best`."""
     table = less("ppo")[0]
-    ran = {
-        n: job
-        for k in ("10", "11")
-        for n, job in table.read(LESS / "results/ppo.csv.xz", k).items()
-    }
-    batches = ("exact", "exact, cut off")
+    ran = batches("10", "11")
     level, walks = (
         {n[-1]: job for n, job in table.read(LESS / "results/ppo_tasks.csv.xz", k).items()}
-        for k in batches
+        for k in ("exact", "exact, cut off")
     )
     mine = {
         letter: one
@@ -734,6 +772,8 @@ def test_the_table_of_fresh_runs_on_the_exact_task_is_that_of_its_runs():
             found, runs = table.reached(table.seeds(job), level), table.seeds(job)
             end = cells(table.table({"": job}, table.best(job)).splitlines()[-1])[-2]
             first = [table.steps_of(found.level), table.steps_of(found.walks)]
+            if job is to_walk[x]:  # cut off
+                first[1] = first[1].replace("never", f"not by {job[-1]['sim_steps'] / 1e6:.2f}")
             millions = f"{job[-1]['sim_steps'] / 1e6:.1f}"
             rows.append([f"{ROBOT_OF[x]}, {label}", str(len(runs)), *first, millions, end])
     assert shown == rows
@@ -765,10 +805,19 @@ def test_what_the_page_says_of_ppo_on_the_exact_task():
     ours = mine["c"].walks[:, 1]
     least = np.where(np.isnan(walked["c"]), 1e6 * ends[1], walked["c"])
     assert np.isfinite(walked["c"]).sum() == 2 and np.isfinite(ours).all()
-    text = f"no ANYmal-C of PPO walks before {least.min() / 1e6:.2f} M. All five of `best` do, the last after"
+    tuning = [
+        np.nanmin(table.reached(table.seeds(job), 24).walks, initial=np.inf)
+        for name, job in exact()[0].items()
+        if name[-1] == "c"
+    ]
+    soonest = np.sort(tuning)[:2] / 1e6
+    text = f"None of the ten ANYmal-C walks before {least.min() / 1e6:.2f} M (of {3 * len(tuning)} runs on"
+    text += f" tuning seeds the soonest two do after {soonest[0]:.2f}); all five of `best` do, the"
+    text += " last after"
     most = 2 / math.comb(15, 5)
     assert stats.rank_sum(least, ours) <= most + 1e-9 and least.min() > ours.max()
     assert f"{text} {ours.max() / 1e6:.2f} (rank test, p at most {most:.4f})." in told
+    assert soonest[0] == soonest[1] and soonest[0] * 1e6 > ours.max()
     text = f"at once, PPO would still need {least.mean() / ours.mean():.1f} times the steps."
     assert text in told
     text = f"none of PPO's ten walks before {np.nanmin(walked['g']) / 1e6:.2f} M. With `best` two of five"
@@ -786,9 +835,33 @@ def test_what_the_page_says_of_ppo_on_the_exact_task():
         *(x.mean() / 1e6 for x in before)
     )
     more = [stats.ratio(x, best[k]).value for x, k in zip(before, "gc", strict=True)]
-    assert text in told and "{:.1f} and {:.1f} times the steps of `best`. So".format(*more) in told
-    worth = [1 - its[k].mean() / x.mean() for x, k in zip(before, "gc", strict=True)]
-    assert np.allclose(worth, (0.25, 0.1), atol=0.02) and "a quarter and a tenth" in told
+    assert (
+        text in told and "{:.1f} and {:.1f} times the steps of `best`. That".format(*more) in told
+    )
+    worth = [stats.ratio(its[k], x) for x, k in zip(before, "gc", strict=True)]
+    less_now = [100 * (1 - x) for x in (worth[0].high, worth[0].low)]
+    text = "That is a quarter less now on a Go1 ({:.0f} to {:.0f} %) and a tenth on an ANYmal-C,".format(
+        *less_now
+    )
+    p = stats.welch_of(its["c"], before[1])
+    assert f"{text} where a difference is not shown (p {p:.2f};" in told
+    assert np.allclose([1 - x.value for x in worth], (0.25, 0.1), atol=0.02)
+    assert steps_between(jobs["exact-256-g"]) == 2 * steps_between(to_level["g"])
+    walked = [
+        int(np.isfinite(table.reached(table.seeds(some[name]), level).walks).sum())
+        for some, name, level in (
+            (jobs, "exact-256-g", 38),
+            (jobs, "exact-512-c", 24),
+            (exact()[0], "exact-512-kl3-c", 24),
+        )
+    ]
+    assert walked == [2, 3, 0] and "two of three Go1 with 256 robots walked, and all three" in told
+    first = [row for row in script(f"{ROW_COST}/table").read() if row["batch"] == mine["g"].batch]
+    for name, until in (("go1.exact.best", 0.65), ("anymal_c.exact.best", 0.48)):
+        steps = [int(r["sim_steps"]) for r in first if (r["name"], r["seed"]) == (name, "1100")]
+        wide = next(k for k, gap in enumerate(np.diff(steps)) if gap > 1e5)
+        assert f"{steps[wide] / 1e6:.2f}" == f"{until:.2f}" and steps[-1] - steps[-2] == 204800
+    assert "every 0.04 M steps until 0.65 M (ANYmal-C: 0.48), then every 0.2" in told
     runs = sum(len(table.seeds(job)) for job in exact()[0].values())
     assert f"PPO was tuned on this task, in {runs} runs" in told
     # other pages

@@ -246,8 +246,8 @@ def test_the_lead_of_the_page_of_seconds_is_so():
     assert clocks[0][0].mean() < clocks[0][1].mean() and clocks[1][0].mean() > clocks[1][1].mean()
     p = stats.holm([stats.welch_of(*pair) for pair in clocks])
     around_it = (
-        "PPO is sooner in the mean at {:.2f} ms, and `best` at {:.2f}; five seeds show neither (p by Holm"
-        " {:.2f} and {:.3f}). At"
+        "PPO is sooner in the mean at {:.2f} ms, and `best` at {:.2f}; with five seeds neither"
+        " difference is shown (p by Holm {:.2f} and {:.3f}). At"
     )
     text = around_it.format(*(table.cost(found, best) for best, _ in fine), *p) + text[2:]
     assert min(p) > 0.05 and {len(x) for pair in clocks for x in pair} == {5}

@@ -744,10 +744,13 @@ def test_what_the_pages_say_of_a_row_of_more_physics_steps_is_so():
     )
     for name, words in (
         ("docs/results.md", "at neither (p by Holm {:.2f} and {:.3f})"),
-        ("experiments/README.md", "five seeds show neither (Holm {:.2f} and {:.3f})"),
+        (
+            "experiments/README.md",
+            "with five seeds neither difference is shown (Holm {:.2f} and {:.3f})",
+        ),
         (
             "README.md",
-            "Of 1.04 and 0.95, of 1.10 and 1.36, and of 3.75 and 3.59 no difference is shown.",
+            "Of 1.04 and 0.95, of 1.10 and 1.36, and of 3.75 and 3.59 no difference is shown;",
         ),
     ):
         page = " ".join((EXPERIMENTS.parent / name).read_text().split())
