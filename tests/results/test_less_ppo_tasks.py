@@ -330,6 +330,28 @@ def test_settings_at_the_edges_of_the_grid_differ_in_what_the_page_says():
         assert {k: v for k, v in differ.items() if k not in scaled} == changes[name[7:-2]], name
 
 
+def test_settings_beyond_the_edges_of_the_anymals_differ_in_what_the_page_says():
+    """Each job of ppo_deploy_anymals.txt beside 512 robots of the same robot."""
+    told = words(part("What comes next: ANYmals", "###"))
+    asked, base = (paper.jobs(LESS / f"ppo_deploy{x}.txt") for x in ("_anymals", ""))
+    more = {"rollout.num_envs": 1024}
+    changes = {"512-kl3-gamma99": {}, "1024-kl3": more, "1024-kl3-gamma99": more}
+    assert asked.keys() == {f"deploy-{n}-{x}" for n in changes for x in "cd"}
+    assert f"`ppo_deploy_anymals.txt`, {len(asked)} jobs, seeds 0 to 2" in told
+    assert f"of all {len(SETTINGS | EDGES) + len(changes)} settings of a robot" in told
+    for name, line in asked.items():
+        both = line, base[f"deploy-512-kl3-{name[-1]}"]
+        one, other = (config_of(f"{x} run.log_every=15") for x in both)  # as run.py has it
+        steps = [schedule.sim_steps(x) for x in (one, other)]
+        ends = [[steps[k][x.run.eval_every - 1], steps[k][-1]] for k, x in enumerate((one, other))]
+        assert ends[0] == ends[1]
+        pair = [flat(x) for x in (one, other)]
+        differ = {key: pair[0][key] for key in pair[0] if pair[0][key] != pair[1][key]}
+        scaled = {"run.num_iterations", "run.eval_every", "schedule.late_from"}
+        gamma = {"ppo.gamma": 0.99} if "gamma99" in name else {}
+        assert {k: v for k, v in differ.items() if k not in scaled} == changes[name[7:-2]] | gamma
+
+
 def flat(config):
     """`group.field -> value`."""
     return {
