@@ -1,6 +1,7 @@
 """19_collapse: each control does what its line says, and nothing else."""
 
 import csv
+import functools
 import importlib
 import json
 import lzma
@@ -752,13 +753,28 @@ def test_each_batch_has_the_jobs_that_the_page_says(gpu):
         assert table.values(cut, name, 100) != table.values(gpu, name, 100)
 
 
-def test_the_page_has_what_the_runs_without_anchors_had():
-    """Each cell; and the means from iteration 200 to 350, with Welch's interval."""
-    page = (HERE / "README.md").read_text()
+@functools.cache
+def on_two_cores():
+    """Rows of the runs on two CPU cores by what is otherwise."""
     runs = {}
     with lzma.open(HERE / "results/laptop.csv.xz", "rt", newline="") as file:
         for row in csv.DictReader(file):
             runs.setdefault(row["name"].removeprefix("laptop-"), []).append(row)
+    return runs
+
+
+def means_of(name, column="return"):
+    """Of each seed, its mean from iteration 200 to 350."""
+    each = {}
+    for row in on_two_cores()[name]:
+        if 200 <= int(row["iteration"]) <= 350:
+            each.setdefault(row["seed"], []).append(float(row[column]))
+    return [np.mean(x) for x in each.values()]
+
+
+def test_the_page_has_what_the_runs_without_anchors_had():
+    """Each cell; and the means from iteration 200 to 350, with Welch's interval."""
+    page, runs, means = (HERE / "README.md").read_text(), on_two_cores(), means_of
     part = page.split("### On two CPU cores")[1]
     for name, rows in runs.items():
         (line,) = (x for x in part.splitlines() if x.replace("`", "").startswith(f"| {name} |"))
@@ -768,16 +784,9 @@ def test_the_page_has_what_the_runs_without_anchors_had():
             if name == "cold-epochs" and at > 250:  # where it ends
                 assert not some and not cell
                 continue
-            assert len(some) == 3
+            assert len(some) == (5 if name.startswith("five-") else 3)
             back, falls = (np.mean([float(r[x]) for r in some]) for x in ("return", "fall_rate"))
             assert cell == f"{back:.1f}, {100 * falls:.0f} %", (name, at)
-
-    def means(name, column):
-        some = [row for row in runs[name] if 200 <= int(row["iteration"]) <= 350]
-        each = {}
-        for row in some:
-            each.setdefault(row["seed"], []).append(float(row[column]))
-        return [np.mean(x) for x in each.values()]
 
     words = " ".join(part.split())
     one, other = means("unanchored", "return"), means("rebuilt", "return")
@@ -807,6 +816,48 @@ def test_the_page_has_what_the_runs_without_anchors_had():
     assert text in words and f"and its error is {error:.2f}" in words
     error = [np.mean(means(x, "model_error_4")) for x in ("cold", "anchored")]
     assert "four steps is {:.2f}, with weights that go on {:.2f}".format(*error) in words
+
+
+def test_the_pages_say_what_tails_that_branch_did_on_two_cores():
+    """By the rule: two Welch tests, by Holm, and intervals within 2 of 45."""
+    asked, runs = paper.jobs(HERE / "laptop.txt"), on_two_cores()
+    names = [f"five-{x}" for x in ("anchored", "cut", "branch")]
+    for name in names:
+        rows = runs[name]
+        assert {(r["job"], r["commit"][:8]) for r in rows} == {
+            (asked[f"laptop-{name}"], "c7ed6819")
+        }
+        assert sorted({int(r["seed"]) for r in rows}) == [*range(720, 725)] and len(rows) == 40
+    shipped, cut, branch = map(means_of, names)
+    two = [stats.difference(branch, cut), stats.difference(cut, shipped)]
+    p = stats.holm([stats.welch_of(branch, cut), stats.welch_of(cut, shipped)])
+    assert all(max(-x.low, x.high) < table.NEAR["g"] for x in two) and min(p) > 0.05
+    more, less = two
+    words = " ".join(
+        (HERE / "README.md").read_text().split("#### Branching, on two cores")[1].split()
+    )
+    told = f"{more.value:.1f} more than `cut` ({-more.low:.1f} less to {more.high:.1f} more), `cut`"
+    told += f" {-less.value:.1f} less than the tail as shipped ({-less.low:.1f} less to {less.high:.1f} more;"
+    assert f"{told} by Holm p {p[0]:.2f})" in words and p[0] == p[1]
+    at = {
+        k: {
+            (x, r["seed"]): float(r["return"])
+            for x in names
+            for r in runs[x]
+            if r["iteration"] == k
+        }
+        for k in ("250", "350")
+    }
+    late = min(at["250"], key=at["250"].get)
+    value, last = at["250"].pop(late), at["350"][late]
+    told = f"{value:.1f} of 45 at iteration 250, where the other fourteen runs have {min(at['250'].values()):.1f}"
+    assert late[0] == "five-cut" and f"{told} or more. At 350 it has {last:.1f}." in words
+    gap, verdict = f"({-more.low:.1f} less to {more.high:.1f} more", other_page(".")
+    told = f"{more.value:.1f} more than those behind the last {gap}): no difference"
+    assert f"{told} | with tails of 16 rows **no**" in verdict
+    assert f"five seeds, Holm {p[0]:.2f}; with the paper" in verdict
+    told = f"from drawn rows {more.value:.1f} more than behind the last {gap}, five seeds, Holm"
+    assert f"{told} {p[0]:.2f};" in other_page("paper")
 
 
 def test_the_picture_is_of_these_runs(monkeypatch):
