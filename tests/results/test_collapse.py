@@ -850,7 +850,8 @@ def test_the_pages_say_what_tails_that_branch_did_on_two_cores():
     }
     late = min(at["250"], key=at["250"].get)
     value, last = at["250"].pop(late), at["350"][late]
-    told = f"{value:.1f} of 45 at iteration 250, where the other fourteen runs have {min(at['250'].values()):.1f}"
+    least = min(at["250"].values())
+    told = f"{value:.1f} of 45 at iteration 250, where the other fourteen runs have {least:.1f}"
     assert late[0] == "five-cut" and f"{told} or more. At 350 it has {last:.1f}." in words
     gap, verdict = f"({-more.low:.1f} less to {more.high:.1f} more", other_page(".")
     told = f"{more.value:.1f} more than those behind the last {gap}): no difference"
