@@ -24,6 +24,7 @@ evaluations. Intervals are Student's t, 95 %. A return of 10 s (run.eval_steps=5
 """
 
 import csv
+import functools
 import itertools
 import lzma
 from pathlib import Path
@@ -122,7 +123,7 @@ def read(path: Path, batch: str | None = None) -> dict[str, list[dict]]:
     if path.is_dir():
         return {file.stem: rows(file.open(newline="")) for file in sorted(path.glob("*.csv"))}
     jobs, first = {}, {}
-    for row in rows(lzma.open(path, "rt", newline="")):
+    for row in map(dict, packed(path, path.stat().st_mtime_ns)):  # whose rows stay as they are
         if batch not in (None, row.get("batch")):  # seconds.csv.xz has none
             continue
         name, settings = row["name"], [f for f in row["job"].split() if not f.startswith("run.")]
@@ -130,6 +131,13 @@ def read(path: Path, batch: str | None = None) -> dict[str, list[dict]]:
             name += f" of batch {row['batch']}"
         jobs.setdefault(name, []).append(row)
     return jobs
+
+
+@functools.cache
+def packed(path: Path, changed: int) -> list[dict]:
+    """The rows of a packed file, read once until it is `changed`."""
+    del changed
+    return rows(lzma.open(path, "rt", newline=""))
 
 
 def rows(file) -> list[dict]:
