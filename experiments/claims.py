@@ -186,13 +186,11 @@ STATED = {  # name -> where, and the words
         (ROW_COST, "and {:.0f} times the steps."),
     ],
     "go1 seconds to 38, 16 physics steps": [
-        ("README.md", "16 physics steps in a row | 0.39 | {:.2f} |"),
         ("docs/results.md", "a Go1 is at 38 after {:.2f} and 1.10 s"),
         ("experiments/README.md", "a Go1 is at its level after {:.2f} s with `best` and 0.95"),
         (ROW_COST, "a Go1 is at its level after {:.2f} s with `best` and 0.95"),
     ],
     "go1 PPO seconds to 38, 16 physics steps": [
-        ("README.md", "| 0.39 | 1.04 | {:.2f} |"),
         ("docs/results.md", "with PPO after {:.2f} and 1.36"),
         ("experiments/README.md", "s with `best` and {:.2f} with PPO at 0.39 ms"),
         (ROW_COST, "s with `best` and {:.2f} with PPO, which takes"),
@@ -201,21 +199,17 @@ STATED = {  # name -> where, and the words
         (ROW_COST, "for {:.0f} times the steps (9.5 to 17)"),
     ],
     "go1 seconds to a walk, 16 physics steps": [
-        ("README.md", "| 0.39 | 1.04 | 0.95 | {:.2f} |"),
         (ROW_COST, "PPO takes 1.06 instead of {:.2f} s"),
     ],
     "go1 PPO seconds to a walk, 16 physics steps": [
-        ("README.md", "| 0.39 | 1.04 | 0.95 | 1.81 | {:.2f} |"),
         (ROW_COST, "told without a test, PPO takes {:.2f} instead of"),
     ],
     "go1 seconds to 38, 32 physics steps": [
-        ("README.md", "32 physics steps in a row | 0.56 | {:.2f} |"),
         ("docs/results.md", "a Go1 is at 38 after 1.04 and {:.2f} s"),
         ("experiments/README.md", "at 0.39 ms, after {:.2f} and 1.36 at 0.56"),
         (ROW_COST, "At 0.56 ms it is {:.2f} and 1.36 s"),
     ],
     "go1 PPO seconds to 38, 32 physics steps": [
-        ("README.md", "| 0.56 | 1.10 | {:.2f} |"),
         ("docs/results.md", "with PPO after 0.95 and {:.2f} (five"),
         ("experiments/README.md", "at 0.39 ms, after 1.10 and {:.2f} at 0.56"),
         (ROW_COST, "At 0.56 ms it is 1.10 and {:.2f} s"),
@@ -224,11 +218,9 @@ STATED = {  # name -> where, and the words
         (ROW_COST, "for {:.0f} times the steps (10 to 16)"),
     ],
     "go1 seconds to a walk, 32 physics steps": [
-        ("README.md", "| 0.56 | 1.10 | 1.36 | {:.2f} |"),
         (ROW_COST, "s, and 1.56 instead of {:.2f}."),
     ],
     "go1 PPO seconds to a walk, 32 physics steps": [
-        ("README.md", "| 0.56 | 1.10 | 1.36 | 1.92 | {:.2f} |"),
         (ROW_COST, "s, and {:.2f} instead of 1.92."),
     ],
     "go1 seconds to 38, MuJoCo Warp": [

@@ -207,6 +207,35 @@ def test_where_a_run_was_is_packed_and_no_number_to_the_table(tmp_path, monkeypa
     assert "seconds" not in found and found["batch"] == "7"
 
 
+def test_packing_loses_no_job_and_counts_no_run_twice(tmp_path, monkeypatch):
+    """A batch whose jobs the folder lacks, and a run of another batch, are refused: the file stays."""
+    write, pack = script("21_less/run").write, script("21_less/pack")
+    row = {"job": "go1:best", "device": "NVIDIA H200", "commit": "abc", "seed": 3, "iteration": 5}
+    row |= {"sim_steps": 10, "seconds": 1.0, "return": 40, "fall_rate": 0.0}
+    for folder, jobs in (("first", "ab"), ("other", "c"), ("more", "ac"), ("whole", "abd")):
+        (tmp_path / folder).mkdir()
+        for job in jobs:
+            write(tmp_path / folder / f"{job}.csv", [row | {"return": 40 + ord(job)}])
+    to = tmp_path / "runs.csv.xz"
+
+    def packed(batch, folder):
+        monkeypatch.setattr(sys, "argv", ["pack.py", str(to), batch, str(tmp_path / folder)])
+        pack.main()
+        return {(x["batch"], n) for n, job in script("21_less/table").read(to).items() for x in job}
+
+    assert packed("1", "first") == {("1", "a"), ("1", "b")}
+    before = to.read_bytes()
+    with pytest.raises(SystemExit, match="batch '1' has a, which .*other lacks; expected all jobs"):
+        packed("1", "other")
+    with pytest.raises(
+        SystemExit, match=r"more/a\.csv is in batch '1' of .*runs\.csv\.xz; expected"
+    ):
+        packed("2", "more")
+    assert to.read_bytes() == before
+    assert packed("1", "whole") == {("1", "a"), ("1", "b"), ("1", "d")}
+    assert packed("2", "other") == {("1", "a"), ("1", "b"), ("1", "d"), ("2", "c")}
+
+
 def test_a_robot_stays_from_the_evaluation_on_after_which_none_is_bad():
     reached = script("21_less/table").reached
     ends = ((39.0, 0.0), (41.0, 0.02), (37.9, 0.0), (38.0, 0.01), (42.0, 0.03))

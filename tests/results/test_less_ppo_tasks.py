@@ -13,6 +13,7 @@ from result_files import (
     LETTERS,
     ROOT,
     ROW_COST,
+    around,
     cells,
     less,
     packed,
@@ -371,19 +372,14 @@ def config_of(line):
     return config_lib.validate(config)
 
 
-def span(around):
-    return f"{around.low:.1f} to {around.high:.1f}"
+def span(one):
+    return f"{one.low:.1f} to {one.high:.1f}"
 
 
-def interval(around):
-    """`value (low to high)`."""
-    return f"{around.value:.1f} ({span(around)})"
-
-
-def more_or_less(around):
+def more_or_less(one):
     """Of an interval with zero in it: `value more, low less to high more`."""
-    assert around.low < 0 < around.high
-    return f"{around.value:.1f} more, {-around.low:.1f} less to {around.high:.1f} more"
+    assert one.low < 0 < one.high
+    return f"{one.value:.1f} more, {-one.low:.1f} less to {one.high:.1f} more"
 
 
 def test_the_tables_of_ppo_for_hardware_on_fresh_seeds_are_those_of_their_runs():
@@ -423,7 +419,7 @@ def test_the_tables_of_ppo_for_hardware_on_fresh_seeds_are_those_of_their_runs()
     g, h, c = (ratios[x] for x in "ghc")
     text = f"PPO needs {means['g']:.2f} M steps on a Go1 and {means['h']:.2f} M on a Go2: {g[0].value:.1f}"
     text += f" times those of `deploy` (95 %: {span(g[0])}) and {h[0].value:.1f} times"
-    text += f" ({span(h[0])}), and {interval(g[1])} and {h[1].value:.1f} times"
+    text += f" ({span(h[0])}), and {around(g[1])} and {h[1].value:.1f} times"
     assert f"{text} ({span(h[1])}) those of longer tails." in told
     text = "An ANYmal-C of PPO is at 15, a goal set after looking at tuning runs, after"
     text += f" {means['c']:.2f} M, {c[0].value:.1f} and {c[1].value:.1f}"
@@ -514,8 +510,8 @@ def test_the_tables_of_ppo_for_hardware_on_fresh_seeds_are_those_of_their_runs()
     text += " {:.1f} ({:.1f} to {:.1f}) and {:.1f} more ({:.1f} to {:.1f}), on ANYmals".format(
         *more["g", 18.4][1], *more["h", 18.4][1]
     )
-    text += f" {interval(more['c', 18.4][1])} and {interval(more['d', 18.4][1])}, `deploy`"
-    text += f" {interval(more['c', 18.4][0])} and {interval(more['d', 18.4][0])}."
+    text += f" {around(more['c', 18.4][1])} and {around(more['d', 18.4][1])}, `deploy`"
+    text += f" {around(more['c', 18.4][0])} and {around(more['d', 18.4][0])}."
     assert text in told
     # what is not equal
     every = [steps_between(job) / 1e6 for job in of_fresh("g")]
@@ -892,14 +888,12 @@ def test_what_the_page_says_of_ppo_on_the_exact_task():
     assert f"{both}, ten fresh seeds, today's task)" in other
     row_cost = words((EXPERIMENTS / ROW_COST / "runs.md").read_text())
     text = f"it needs [{both} steps](../21_less/ppo_tasks.md#the-exact-task) on ten fresh seeds,"
-    text += f" {interval(go1)} and {anymal.value:.1f} times ({span(anymal)}) those of `best`"
+    text += f" {around(go1)} and {anymal.value:.1f} times ({span(anymal)}) those of `best`"
     assert text in row_cost
     results, verdict = (
         words(x.read_text()) for x in (ROOT / "docs/results.md", EXPERIMENTS / "README.md")
     )
-    text = (
-        f"needs {interval(go1)} and {anymal.value:.1f} times ({span(anymal)}) the steps of `best`"
-    )
+    text = f"needs {around(go1)} and {anymal.value:.1f} times ({span(anymal)}) the steps of `best`"
     assert f"{text} to the level ([ten fresh seeds]" in results
     text = (
         f"needs {go1.value:.1f} times the steps of `best` to the level on a Go1 ({span(go1)}) and"
