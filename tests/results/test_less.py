@@ -212,7 +212,7 @@ def test_packing_loses_no_job_and_counts_no_run_twice(tmp_path, monkeypatch):
     write, pack = script("21_less/run").write, script("21_less/pack")
     row = {"job": "go1:best", "device": "NVIDIA H200", "commit": "abc", "seed": 3, "iteration": 5}
     row |= {"sim_steps": 10, "seconds": 1.0, "return": 40, "fall_rate": 0.0}
-    for folder, jobs in (("first", "ab"), ("other", "c"), ("more", "ac"), ("whole", "abd")):
+    for folder, jobs in (("first", "ab"), ("other", "c"), ("more", "ac"), ("whole", "abe")):
         (tmp_path / folder).mkdir()
         for job in jobs:
             write(tmp_path / folder / f"{job}.csv", [row | {"return": 40 + ord(job)}])
@@ -232,8 +232,8 @@ def test_packing_loses_no_job_and_counts_no_run_twice(tmp_path, monkeypatch):
     ):
         packed("2", "more")
     assert to.read_bytes() == before
-    assert packed("1", "whole") == {("1", "a"), ("1", "b"), ("1", "d")}
-    assert packed("2", "other") == {("1", "a"), ("1", "b"), ("1", "d"), ("2", "c")}
+    assert packed("1", "whole") == {("1", "a"), ("1", "b"), ("1", "e")}
+    assert packed("2", "other") == {("1", "a"), ("1", "b"), ("1", "e"), ("2", "c")}
 
 
 def test_a_robot_stays_from_the_evaluation_on_after_which_none_is_bad():
