@@ -213,6 +213,8 @@ def program(
             later = concurrent.futures.ThreadPoolExecutor(1)
             evaluating = later.submit(lowered.compile, repeated)
             later.shutdown(wait=False)
+            if _captures_long(config, robot, impl):
+                evaluating.result()
     size = memory.needed(compiled)
     memory.check_compiled(config, size, memory.limit(mesh.local_devices[0]))
     distributed.barrier()
@@ -237,6 +239,21 @@ def program(
         bytes_needed=size,
         compile_seconds=time.perf_counter() - began,
     )
+
+
+def _captures_long(config, robot, impl: str) -> bool:
+    """Whether XLA may not compile beside the first iterations, in which CUDA graphs are captured.
+
+    XLA times kernels while it compiles for a GPU, and waits for the device; a capture under way is invalid
+    then (CUDA error 901). A kernel of ours is captured in an instant, and has never met that. MuJoCo Warp's
+    step is hundreds of launches: three of six runs ended so, three at a time on an H200, nothing in a cache.
+    """
+    from dynappo.physics import ground
+    from dynappo.physics.warp import scope
+
+    if impl != "warp":
+        return False
+    return robot is None or bool(scope.slower(robot, config.physics, ground.under(config.task)))
 
 
 def _step(compiled: Callable, together: int, hyper: Hyper, state, columns: dict[str, np.ndarray]):

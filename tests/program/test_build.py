@@ -14,6 +14,8 @@ from toy_runs import assert_close, assert_same
 from dynappo import config as config_lib
 from dynappo import scores
 from dynappo.config import ConfigError
+from dynappo.description import motors
+from dynappo.description import robot as robot_lib
 from dynappo.program import build, memory
 
 
@@ -76,6 +78,49 @@ def test_chunks_of_any_length_are_one_run_and_multiples_share_a_program(monkeypa
     with pytest.raises(Enough):
         build.program(workdirs.config(run__log_every=4, run__checkpoint_every=4, run__eval_envs=0))
     assert set(lowered) <= set(texts) and lowered
+
+
+@pytest.mark.parametrize("long", [False, True])
+def test_the_evaluation_compiles_beside_the_run_but_where_graphs_take_long_to_capture(
+    long, monkeypatch
+):
+    """XLA, which times kernels, would end a capture: then a program is not handed out before."""
+    workdirs.toy(monkeypatch)
+    monkeypatch.setattr(scores, "evaluate", lambda *_, **__: {"return": 0.0})
+    monkeypatch.setattr(build, "_captures_long", lambda *_: long)
+    compile_, begun, handed_out = jax.stages.Lowered.compile, [], threading.Event()
+
+    def compiled(lowered, *options):
+        begun.append(lowered)
+        if len(begun) > 2 and not long:  # after an iteration and the first state
+            assert handed_out.wait(PATIENCE)
+        return compile_(lowered, *options)
+
+    monkeypatch.setattr(jax.stages.Lowered, "compile", compiled)
+    program = build.program(workdirs.config(run__eval_envs=8))
+    assert program.ready() is long
+    handed_out.set()
+    assert program.evaluate(program.state) == {"return": 0.0} and len(begun) == 3
+
+
+@pytest.mark.parametrize(
+    ("job", "impl", "long"),
+    [
+        ("go1:best", "warp", False),
+        ("go1:best", "jax", False),
+        ("g1:best", "warp", False),
+        ("go1:best:physics.contacts=full", "warp", True),
+        ("go1:best:physics.contacts=full", "jax", False),
+    ],
+)
+def test_graphs_take_long_to_capture_where_no_kernel_of_ours_takes_the_robot(job, impl, long):
+    name, variant, *fields = job.split(":")
+    config = config_lib.load(f"configs/{name}.py:{variant}")
+    for field in fields:
+        config_lib.override(config, *field.split("="))
+    config, robot = motors.fitted(config_lib.validate(config), robot_lib.load(config.robot))
+    assert build._captures_long(config, robot, impl) is long
+    assert build._captures_long(config, None, impl) is (impl == "warp")  # an environment's own
 
 
 def size(tree):
