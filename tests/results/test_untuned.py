@@ -57,8 +57,31 @@ def falls_then(table, job):
     return f"{np.mean(then):.1f} % (up to {max(then):.1f} %)"
 
 
+def title_of(name):
+    """A job of ppo.txt or ppo_more.txt, as the page's table calls it."""
+    robot, _, robots, kl, *rest = name.split("-")
+    more = {
+        "gamma98": "gamma 0.98",
+        "lam95": "lambda 0.95",
+        "ep10": "10 epochs",
+        "mb8": "8 minibatches",
+    }
+    return ", ".join(
+        [ROBOTS[robot], f"{robots} robots", f"KL 0.0{kl[2:]}", *(more[r] for r in rest)]
+    )
+
+
+def costs(goal, robot, jobs):
+    """By choose.py, each setting of a robot, the lowest first; of equal ones the highest last return."""
+    choose = script("21_less/choose")
+    mine = {n: choose.cost(job, goal) for n, job in jobs.items() if n.startswith(robot)}
+    order = sorted(mine, key=lambda n: (mine[n], -choose.last_return(jobs[n])))
+    return {name: mine[name] for name in order}
+
+
 def soonest(goal):
-    """Of each robot the setting with the lowest cost by choose.py: its name without the robot, its job."""
+    """Of each robot the one of ppo.txt with the lowest cost by choose.py: its name without the robot, its
+    job."""
     choose, (_, jobs) = script("21_less/choose"), read("ppo", "2")
     found = {}
     for robot in ROBOTS:
@@ -161,7 +184,7 @@ def test_the_verdict_on_fresh_seeds_is_what_the_rule_says():
             "experiments/21_less/ppo.md",
         )
     }
-    text = "the best of four settings tried there, needs {:.1f} and {:.1f} times the steps to"
+    text = " needs {:.1f} and {:.1f} times the steps to"
     for name in ("README.md", "docs/results.md"):
         assert text.format(*(one.value for one in times)) in others[name]
     around = ", ".join(f"{one.low:.2f} to {one.high:.2f}" for one in times)
@@ -257,29 +280,45 @@ def test_how_fresh_runs_end_at_equal_steps():
 
 
 def test_the_table_of_ppo_tuned_here_is_that_of_its_runs():
-    """Every job of ppo.txt, all to their ends; bold is what choose.py takes."""
-    choose, (table, jobs) = script("21_less/choose"), read("ppo", "2")
-    asked = paper.jobs(FOLDER / "ppo.txt")
-    assert {name: job[0]["job"] for name, job in jobs.items()} == asked
+    """Every job of both lists, all to their ends, and the earlier one; bold is what choose.py takes."""
+    choose, (table, first), (_, more) = (
+        script("21_less/choose"),
+        read("ppo", "2"),
+        read("ppo", "3"),
+    )
+    every = read("ppo")[1]  # two batches of one job are one here, as for choose.py
+    for name, jobs in (("ppo", first), ("ppo_more", more)):
+        asked = paper.jobs(FOLDER / f"{name}.txt")
+        assert {name: job[0]["job"] for name, job in jobs.items()} == asked
+    (device,) = {(row["device"], row["commit"][:8]) for job in more.values() for row in job}
+    assert device == ("NVIDIA H200", "05f6d8fb")
+    assert "`ppo_more.txt`; four H200 of one host, 2026-11-29, commit 05f6d8fb; batch 3)" in WORDS
+    earlier = {f"{title_of(name)}, earlier": job for name, job in read("ppo", "1")[1].items()}
+    jobs = {title_of(name): job for name, job in (first | more).items()} | earlier
     shown = part("PPO tuned on these robots")
-    assert len(shown) == 1 + len(asked) == 9
-    least = [f"{robot}-grid-{setting}" for robot, (setting, _) in soonest("walks").items()]
-    for name, job in jobs.items():
-        robot, _, robots, kl = name.split("-")
+    assert len(jobs) == 14 * 2 + 1 and shown.keys() == {"walks: M steps", *jobs}
+    walks, level = (
+        {title_of(next(iter(costs(goal, robot, every)))) for robot in ROBOTS}
+        for goal in ("walks", "level")
+    )
+    for title, job in jobs.items():
         runs = table.seeds(job)
-        assert len(runs) == 3 and {run[-1]["sim_steps"] for run in runs} == {300 * 512 * 24}
+        assert [run[0]["seed"] for run in runs] == [0, 1, 2]
+        assert {run[-1]["sim_steps"] for run in runs} == {300 * 512 * 24}
         row, cost = row_of(table, job), f"{choose.cost(job) / 1e6:.2f}"
         mine = [row[0], cost, row[1], falls_then(table, job), row[2], *row[-2:]]
-        assert shown[f"{ROBOTS[robot]}, {robots} robots, KL 0.0{kl[2:]}"] == mine, name
-        assert (f"| {row[0]} | **{cost}** | {row[1]} |" in PAGE) == (name in least)
+        assert shown[title] == mine, title
+        cost = f"**{cost}**" if title in walks else cost
+        then = f"**{row[1]}**" if title in level else row[1]
+        assert f"| {title} | {row[0]} | {cost} | {then} |" in PAGE, title
     head = head_of(table, job)
     assert shown[head[0]] == ["by the rule", head[1], "falls then", head[2], *head[-2:]]
 
 
 def test_the_settings_of_ppo_tuned_here_are_those_of_its_jobs():
-    """And which were chosen."""
-    jobs, told = read("ppo", "2")[1], set()
-    for job in jobs.values():
+    """And which of the first four were chosen."""
+    told = set()
+    for name, job in (read("ppo", "2")[1] | read("ppo", "3")[1]).items():
         asked = dict(field.split("=") for field in job[0]["job"].split()[1:])
         a_row = int(asked["rollout.num_envs"]) * int(asked["rollout.horizon"]) / 1e6
         end, late, every = (
@@ -287,7 +326,9 @@ def test_the_settings_of_ppo_tuned_here_are_those_of_its_jobs():
             for name in ("run.num_iterations", "schedule.late_from", "run.eval_every")
         )
         last = int(asked["run.seed"]) + int(asked["run.num_seeds"]) - 1
-        text = f"gamma {asked['ppo.gamma']}, lambda {asked['ppo.lambda_']}, {asked['rollout.horizon']} rows, "
+        gamma = "0.97" if name.endswith("-gamma98") else asked["ppo.gamma"]
+        lambda_ = "0.9" if name.endswith("-lam95") else asked["ppo.lambda_"]
+        text = f"gamma {gamma}, lambda {lambda_}, {asked['rollout.horizon']} rows, "
         text += f"today's task, half of the KL after {late:.1f} M steps, {end:.1f} M in all. Tuning seeds "
         text += f"{asked['run.seed']} to {last}, {asked['run.eval_envs']} episodes of 20 s every {every:.2f}"
         told.add(text)
@@ -299,57 +340,127 @@ def test_the_settings_of_ppo_tuned_here_are_those_of_its_jobs():
         for goal in ("walks", "level")
     )
     text = f"{walks[0]} robots on ANYmal-B, {walks[1]} on Spot, both with a KL of 0.03. Soonest at the level "
-    text += f"are {level[0]} robots on ANYmal-B, which go on falling (one seed of three never walks), and "
+    text += f"were {level[0]} robots on ANYmal-B, which go on falling (one seed of three never walks), and "
     assert text + f"the same {level[1]} on Spot." in WORDS and walks[1] == level[1]
 
 
+def test_the_jobs_of_the_new_winners_are_those_that_choose_takes(tmp_path, monkeypatch):
+    """The file is what choose.py writes, to a walk and to the level; none is one of fresh.txt."""
+    choose, text = script("21_less/choose"), ""
+    for goal in ([], ["--level"]):
+        given = ["results/ppo.csv.xz", "ppo.txt", "--beyond", "ppo_more.txt"]
+        given = [str(FOLDER / x) if not x.startswith("--") else x for x in given]
+        given[2:2] = [str(tmp_path / "jobs.txt")]
+        monkeypatch.setattr("sys.argv", ["choose.py", *given, "--seed", "1600", *goal])
+        choose.main()
+        text += (tmp_path / "jobs.txt").read_text()
+    assert (FOLDER / "ppo_more_fresh.txt").read_text() == text
+    names = [line.split()[0] for line in text.splitlines()]
+    assert names == [
+        "walks-anymal_b-grid-256-kl3-gamma98",
+        "level-anymal_b-grid-128-kl5",
+        "level-spot-grid-128-kl4",
+    ]
+    assert "run.seed=1600 run.num_seeds=10 run.eval_envs=1000" in text
+    assert "a new winner runs on ten fresh seeds (1600 to 1609)" in WORDS
+
+
+def test_what_the_page_says_of_ten_more_settings():
+    """The winners among all fourteen, by both readings of the earlier batch, and beside fresh `best`."""
+    choose, (fresh, jobs) = script("21_less/choose"), fresh_rule()
+    (table, first), (_, more), (_, every) = read("ppo", "2"), read("ppo", "3"), read("ppo")
+    level = {robot: costs("level", robot, every) for robot in ROBOTS}
+    said, returns = [], []
+    for robot, (new, old) in {
+        "anymal_b": ("128-kl5", "128-kl3"),
+        "spot": ("128-kl4", "256-kl3"),
+    }.items():
+        names = [f"{robot}-grid-{x}" for x in (new, old)]
+        a, b, third = list(level[robot].values())[:3]
+        assert list(level[robot])[:2] == names and a == b < third
+        said.append(f"{a / 1e6:.2f}")
+        returns.append("{:.1f}, not {:.1f}".format(*(choose.last_return(every[x]) for x in names)))
+    text = "Ten more settings of PPO a robot are no sooner at the level on tuning seeds. But two tie there"
+    assert text in WORDS.split("**In Isaac Lab")[0]
+    text = f"On ANYmal-B 128 robots with a KL of 0.05 need {said[0]} M, as with 0.03; on Spot 128 robots "
+    text += (
+        f"with 0.04 need {said[1]} M, as 256 with 0.03. Of equal ones `choose.py` takes that with "
+    )
+    assert text + f"the highest last return: {returns[0]}, and {returns[1]}." in WORDS
+    walks = {robot: costs("walks", robot, every) for robot in ROBOTS}
+    alone = costs("walks", "anymal_b", first | more)
+    assert [next(iter(x)) for x in (*walks.values(), alone)] == [
+        "anymal_b-grid-256-kl3-gamma98",
+        "spot-grid-256-kl3",
+        "anymal_b-grid-512-kl3",
+    ]
+    least, then = list(walks["spot"].values())[:2]
+    assert f"stays on Spot ({least / 1e6:.2f} M; the next needs {then / 1e6:.2f})" in WORDS
+    both, new = (
+        walks["anymal_b"][f"anymal_b-grid-{x}"] / 1e6 for x in ("512-kl3", "256-kl3-gamma98")
+    )
+    assert len(table.seeds(every["anymal_b-grid-512-kl3"])) == 6
+    text = f"with {new:.2f} M: `choose.py` takes both batches of the 512 robots for one job of six runs, "
+    text += f"which needs {both:.2f} M. By batch 2 alone, with which it was chosen, that needs "
+    assert text + f"{alone['anymal_b-grid-512-kl3'] / 1e6:.2f} M and would stay." in WORDS
+    # beside the fresh seeds of `best`
+    job = more["anymal_b-grid-128-kl5"]
+    apart = table.seeds(job)[0][1]["sim_steps"] - table.seeds(job)[0][0]["sim_steps"]
+    told = []
+    for robot, name in (("anymal_b", "128-kl5"), ("spot", "128-kl4")):
+        mine = choose.steps_to(more[f"{robot}-grid-{name}"], "level", None)
+        x = stats.ratio(mine - apart, fresh.steps(jobs, robot, "level").best)
+        told.append((f"{x.value:.1f}", f"{x.low:.1f} to {x.high:.1f}"))
+    (b, around_b), (s, around_s) = told
+    text = f"whole interval between evaluations, {apart / 1e6:.2f} M, off their steps the new ones would "
+    text += (
+        f"need {b} ({around_b}; ANYmal-B) and {s} times ({around_s}; Spot) the steps of `best` on "
+    )
+    assert f"{text}its fresh seeds." in WORDS
+    soon = [
+        min(
+            np.nanmin(choose.steps_to(job, "level", None))
+            for n, job in every.items()
+            if n.startswith(r)
+        )
+        for r in ROBOTS
+    ]
+    last = [fresh.steps(jobs, robot, "level").best.max() for robot in ROBOTS]
+    text = "No seed of any setting is at the level before {:.2f} and {:.2f} M; the last of `best` is there "
+    text = text.format(*(x / 1e6 for x in soon)) + f"after {max(last) / 1e6:.2f}."
+    assert text in WORDS and max(last) < min(soon)
+    walk = fresh.steps(jobs, "anymal_b", "walks")
+    mine = choose.steps_to(more["anymal_b-grid-256-kl3-gamma98"], "walks", None)
+    now, off = (stats.difference(mine - x, walk.best) for x in (0, apart))
+    text = f"would need {now.value / 1e6:.2f} M more than `best` ({-now.low / 1e6:.2f} fewer to "
+    text += f"{now.high / 1e6:.2f} more), with the interval off {off.value / 1e6:.2f}, instead of "
+    assert text + f"{fresh.around(walk).value / 1e6:.2f}." in WORDS
+    # how much was tuned
+    runs = [sum(len(table.seeds(job)) for job in read("ppo", k)[1].values()) for k in "123"]
+    assert runs[1] + runs[2] == 2 * 14 * 3 and runs[0] == 3
+    assert f"PPO had {sum(runs)} runs on these two robots: fourteen settings on each" in WORDS
+    page = " ".join((LESS / "ppo.md").read_text().split())
+    assert "`best` had none here, and 2308 on four others, where PPO had [669]" in WORDS
+    assert "in 669 runs" in page and "`best` was chosen in 2308 runs on four robots" in page
+    text = "Two tie, with 128 robots and KL 0.05 (ANYmal-B) and 0.04 (Spot), and 256 robots with gamma 0.98 "
+    assert f"{text}walk after {new:.2f} M on ANYmal-B." in page
+
+
 def test_what_three_tuning_seeds_said():
-    """The chosen PPO, its earlier batch, and both beside the older `best` before the fresh runs."""
+    """The first four settings' winners, as ppo.md tells them, with the earlier batch of one."""
     table, (earlier,) = script("21_less/table"), read("ppo", "1")[1].values()
     assert [name for name, _ in soonest("walks").values()] == ["512-kl3", "256-kl3"]
     assert [name for name, _ in soonest("level").values()] == ["128-kl3", "256-kl3"]
-    was = table.reached(table.seeds(earlier), 24)
-    text = f"walked after {table.steps_of(was.walks).replace(' (', ' M (')}, and was at 24 after "
-    assert text + table.steps_of(was.level) in WORDS
-    again = table.reached(table.seeds(soonest("walks")["anymal_b"][1]), 24).walks
-    both = (was.walks + again) / 2  # seeds 0 to 2, twice each
-    tie = table.reached(table.seeds(read("ppo", "2")[1]["anymal_b-grid-256-kl3"]), 24).walks
-    assert f"{both.mean():.0f}" == f"{tie.mean():.0f}"
-    text = f"Both together take {both.mean() / 1e6:.2f} M to a walk, as 256 robots with a KL of 0.03 do"
-    assert text in WORDS
-    _, cut = read("cut")
-    assert len(cut) == 3 and "Three jobs were cut off then" in WORDS
-    _, jobs = read("best")
-
-    def older(robot, goal):
-        """Each seed's mean of its two runs."""
-        runs = [jobs[f"{robot}-best"], jobs[f"{robot}-best-2"]]
-        return np.mean([getattr(table.reached(table.seeds(job), 24), goal) for job in runs], 0)
-
-    level = {r: table.reached(table.seeds(soonest("level")[r][1]), 24).level for r in ROBOTS}
-    times = [level[r].mean() / older(r, "level").mean() for r in ROBOTS]
-    spot = table.reached(table.seeds(soonest("walks")["spot"][1]), 24).walks
-    more = [
-        stats.difference(both, older("anymal_b", "walks")),
-        stats.difference(spot, older("spot", "walks")),
-    ]
-    assert more[0].low > 0 > more[1].low
-    text = "{:.1f} (ANYmal-B) and {:.1f} times (Spot) the steps to the level, to a walk ".format(
-        *times
-    )
-    text += f"{more[0].value / 1e6:.2f} M more on ANYmal-B, on Spot no difference shown."
-    assert text in WORDS
+    was = table.reached(table.seeds(earlier), 24).walks
+    walks = [table.reached(table.seeds(job), 24).walks for _, job in soonest("walks").values()]
+    level = [table.reached(table.seeds(job), 24).level for _, job in soonest("level").values()]
+    assert len(read("cut")[1]) == 3 and "three jobs were cut off then" in WORDS
     page = " ".join((LESS / "ppo.md").read_text().split())
-    told = [f"{x.mean() / 1e6:.2f} M" for x in (again, was.walks, both, spot)]
-    text = f"ANYmal-B walks after {told[0]} (512 robots, KL 0.03; {told[1]} in an earlier batch of the same "
-    text += (
-        f"job and seeds; both together, {told[2]}, tie with 256 robots), Spot after {told[3]} (256 "
-    )
-    text += (
-        "robots, KL 0.03); soonest at the level are 128 and 256 robots, after {:.2f} and {:.2f} M"
-    )
-    text = text.format(*(x.mean() / 1e6 for x in level.values()))
-    assert text in page
+    b, early, s = (f"{x.mean() / 1e6:.2f}" for x in (walks[0], was, walks[1]))
+    text = f"512 robots with KL 0.03 walk soonest on ANYmal-B, after {b} M ({early} M in an earlier batch of "
+    text += f"the same job and seeds), and 256 with KL 0.03 on Spot, after {s} M; soonest at the level are "
+    text += "128 and 256 robots, after {:.2f} and {:.2f} M."
+    assert text.format(*(x.mean() / 1e6 for x in level)) in page
 
 
 def test_the_tables_of_best_are_those_of_its_runs():
