@@ -50,6 +50,10 @@ TABLES = {
         *pairs("gc", COLD, "tail"),
         *pairs("gc", COLD, "cold"),
     ],
+    "New weights in each fit, on eight fresh seeds": [
+        *pairs("gc", ["eight-cold", "eight-cold-ramp"], "eight-tail"),
+        *pairs("gc", ["eight-cold-ramp"], "eight-cold"),
+    ],
     "Anchoring": [
         *pairs("gc", ["rebuilt"], "tail"),
         *pairs("gc", ["unanchored"], "rebuilt"),
@@ -61,6 +65,10 @@ TABLES = {
     "Anchors on other robots, beside robots made anew": [
         *pairs("hd", ["unanchored"], "rebuilt", whole=""),
         *pairs("c", ["five-unanchored"], "five-rebuilt", whole=""),
+    ],
+    "Branching, and its advantages alone": [
+        *pairs("gc", ["branch"], "cut"),
+        *pairs("gc", ["cut"], "tail"),
     ],
     "How long a tail may be, beside its real rows alone": [
         Pair(robot, f"dose{tail}", f"rows{real}", "rows16", 500)

@@ -228,7 +228,7 @@ def test_the_jobs_are_valid_and_on_the_page():
         seen.add((job, *sorted(fields)))
 
 
-def test_what_runs_next_is_what_ran_on_eight_other_seeds():
+def test_eight_fresh_seeds_ran_what_three_others_did():
     ran, later = (paper.jobs(HERE / f"{name}.txt") for name in ("jobs", "eight"))
     assert {*later} == {
         f"eight-{x}-{robot}" for x in ("tail", "cold", "cold-ramp") for robot in "gc"
@@ -384,40 +384,74 @@ def test_other_pages_say_that_real_rows_alone_fail_too(gpu):
     assert text.format(*means) in other_page("paper")
 
 
-def test_pages_say_on_which_robot_new_weights_are_shown_to_collapse(gpu):
-    """By the rule of means on both; lower than `tail`, whose weights go on, on the ANYmal-C alone."""
+def test_pages_say_on_which_robots_new_weights_are_shown_to_collapse(gpu):
+    """On three seeds lower than `tail` on the ANYmal-C alone; on eight on both, with a ramp, too."""
     title, *_ = table.TABLES
     tests = table.found(gpu, table.TABLES[title])
     found = {pair.robot: one for pair, one in tests.items() if pair.job == "cold"}
-    go1, anymal = found["g"], found["c"]
-    assert go1.verdict == "open, **collapsed**" and anymal.verdict == "worse, **collapsed**"
+    assert found["g"].verdict == "open, **collapsed**"
+    assert found["c"].verdict == "worse, **collapsed**"
     assert {pair.job for pair, one in tests.items() if "collapsed" in one.verdict} == {"cold"}
-    numbers = dict(c=f"{anymal.share:.2f}", pc=f"{anymal.p:.3f}", g=f"{go1.share:.2f}")
-    numbers["pg"] = f"{go1.p:.2f}"
-    short = "({c} of PPO-16, Holm {pc}). Of a Go1 it is {g}, which is not shown to be lower (three seeds "
-    short += "each, Holm {pg})"
-    mean = "of a Go1 the mean of three seeds is {g}, which is not shown to be lower (Holm {pg}"
-    own = (
-        "It then has {c} of PPO-16's return, less than with weights that go on (three seeds each, "
+    words = other_page("19_collapse")
+    assert "with these seeds, shown on ANYmal-C alone" in words
+    assert "Three seeds each had shown that on an ANYmal-C alone." in words
+    eight = table.found(gpu, table.TABLES["New weights in each fit, on eight fresh seeds"])
+    assert [(pair.job, pair.beside, pair.robot) for pair in eight] == [
+        (f"eight-{x}", f"eight-{y}", robot)
+        for x, y in (("cold", "tail"), ("cold-ramp", "tail"), ("cold-ramp", "cold"))
+        for robot in "gc"
+    ]
+    by = {}
+    for pair, one in eight.items():
+        by.setdefault((pair.job, pair.beside), []).append(one)
+    cold, ramp, gain = by.values()
+    assert {one.verdict for one in cold + ramp} == {"worse, **collapsed**"}
+    assert {one.verdict for one in gain} == {"open, **collapsed**"}
+    shares = [f"{one.share:.2f}" for one in cold]
+    text = (
+        "a Go1 then has {} and an ANYmal-C {} of PPO-16's return, less than with weights that go on"
     )
-    own += "Holm {pc}). O" + mean[1:]
-    ours = "({c} of PPO-16, lower than with weights that go on by Holm {pc}); " + mean
+    text += " (Holm {:.2g} and {:.0e})"
+    assert text.format(*shares, *(one.p for one in cold)).replace("e-0", "e-") in words
+    ramped = [f"{one.share:.2f}" for one in ramp]
+    assert "the eight Go1 have {} and the ANYmal-C {} of PPO-16's".format(*ramped) in words
+    means = [np.mean(table.values(gpu, f"{x}tail-{y}", 300)) for x in ("eight-", "") for y in "gc"]
+    text = "`tail` has {:.1f} and {:.1f}, as on the three seeds ({:.1f} and {:.1f})."
+    assert text.format(*means) in words
+    text = "a Go1 has {:.1f} more than `cold`, where we expected a gain, an ANYmal-C {:.1f}, open"
+    assert text.format(*(one.difference.value for one in gain)) in words
+    below = [
+        stats.difference(
+            *(table.values(gpu, f"{x}-{robot}", 300) for x in ("ppo16", "eight-cold-ramp"))
+        )
+        for robot in "gc"
+    ]
+    text = "here they are {:.1f} ({:.1f} to {:.1f}) and {:.1f} ({:.1f} to {:.1f}) below it"
+    assert text.format(*below[0], *below[1]) in words
+    most = f"{max(one.p for one in cold):.2g}"
+    short = "on eight fresh seeds a Go1 has {} and an ANYmal-C {} of PPO-16's return".format(
+        *shares
+    )
     for folder, *texts in (
-        ("12_platforms", "one makes an ANYmal-C collapse, new weights in each fit " + ours),
         (
-            "14_efficiency",
-            "one alone, new weights in each fit, makes an ANYmal-C collapse " + short,
+            "12_platforms",
+            f"{short}, lower than with weights that go on (Holm {most} at most).",
+            "they collapse, too ({} and {}), which".format(*ramped),
+        ),
+        ("14_efficiency", f"makes it collapse: {short} (Holm {most} at most)"),
+        ("17_regimes", f"makes it collapse: {short} (Holm {most} at most)"),
+        (
+            "paper",
+            f"{short} (Holm {most} at most;",
+            "With the paper's ramp as well they have {} and {}".format(*ramped),
         ),
         (
-            "17_regimes",
-            "one of seven things done otherwise, new weights in each fit, makes an",
-            short,
+            ".",
+            "eight fresh seeds: Go1 {} and ANYmal-C {} of PPO-16".format(*shares),
+            "with the ramp, too ({}, {})".format(*ramped),
         ),
-        ("19_collapse", own, "shown on ANYmal-C alone"),
-        ("paper", "new weights in each fit ({c} of PPO-16, Holm {pc}); " + mean),
-        ("paper", "new weights in each iteration (Holm {pc}; on a Go1 not shown, {pg})"),
     ):
-        assert all(text.format(**numbers) in other_page(folder) for text in texts), folder
+        assert all(text in other_page(folder) for text in texts), folder
 
 
 def test_the_page_says_what_new_weights_do(gpu):
@@ -444,13 +478,12 @@ def test_the_page_says_what_new_weights_do(gpu):
         for x in ("dyna4", "dyna4_noschedule")
         for robot in ("go1", "anymal_c")
     }
-    told = "a Go1 has {:.2f} and an ANYmal-C {:.2f} of PPO-16's return; in the paper it is {:.2f} and {:.2f}"
-    numbers = [share["cold-ramp", robot] for robot in "gc"]
-    assert told.format(*numbers, *(theirs["dyna4", robot] for robot in "gc")) in words
+    told = [theirs["dyna4", robot] for robot in "gc"]
+    assert "both collapse. In the paper it is {:.2f} and {:.2f}.".format(*told) in words
+    assert "the ramp leads to {:.2f} and {:.2f} of PPO-16".format(*told) in words
+    assert "{} and {} in the paper".format(*(f"{x:.2f}" for x in told)) in other_page("paper")
     told = "In the paper a Go1 has {:.2f} and an ANYmal-C {:.2f}."
     assert told.format(*(theirs["dyna4_noschedule", robot] for robot in "gc")) in words
-    told = "With the paper's ramp as well a Go1 and an ANYmal-C have {:.2f} and {:.2f}"
-    assert told.format(*numbers) in other_page("paper")
     title = "New weights in each fit, beside `tail` and `cold`"
     many = table.found(gpu, table.TABLES[title])[
         table.Pair("c", "cold-epochs", "tail", "ppo16", 300)
@@ -481,15 +514,6 @@ def test_the_page_says_what_new_weights_do(gpu):
     gains = [one.difference.value for pair, one in found.items() if pair.beside == "cold"]
     text = "All four means are above `cold`'s, by {:.1f} to {:.1f},"
     assert len(gains) == 4 and text.format(min(gains), max(gains)) in words
-    numbers = []
-    for robot in "gc":
-        less, low, high = stats.difference(each(f"ppo16-{robot}"), each(f"cold-ramp-{robot}"))
-        numbers += [less, high, -low]
-    text = (
-        "a Go1 is still {:.1f} below PPO-16 ({:.1f} below to {:.1f} above),"
-        " an ANYmal-C {:.1f} ({:.1f} below to {:.1f} above)"
-    )
-    assert text.format(*numbers) in words
 
     def pair(job, steps, iteration=300):
         column = f"model_error_{steps}"
@@ -671,25 +695,54 @@ def test_the_page_says_what_the_exact_task_has(gpu):
 
 
 def test_the_pages_say_what_anchors_do_on_other_robots(gpu):
-    """A Go2 by the rule, in which ANYmals that have not run count; robots made anew, too."""
+    """By the rule over three robots; robots made anew, too."""
     words = " ".join((HERE / "README.md").read_text().split())
     rule = table.TABLES["Anchors on other robots, beside robots made anew"]
     asked = [("h", "unanchored"), ("d", "unanchored"), ("c", "five-unanchored")]
     assert [(pair.robot, pair.job) for pair in rule] == asked
-    ((pair, one),) = table.found(gpu, rule).items()
-    assert pair.robot == "h" and one.verdict == "open" and one.p > table.ALPHA
-    less, low, high = one.difference
-    means = [np.mean(table.values(gpu, f"{x}-h", 300)) for x in ("unanchored", "rebuilt")]
-    text = "is shown: {:.1f} without anchors, {:.1f} with robots made anew ({:.1f} less to {:.1f} more)."
-    assert text.format(*means, -low, high) in words and abs(less) < 0.05
+    found = {pair.robot: one for pair, one in table.found(gpu, rule).items()}
+    assert {x: one.verdict for x, one in found.items()} == {"h": "open", "d": "worse", "c": "open"}
+
+    def mean(job):
+        return np.mean(table.values(gpu, job, 300))
+
+    def lower(robot):
+        one = found[robot].difference
+        return f"{-one.low:.1f} less to {one.high:.1f} more"
+
+    go2, anymal = (found[x].difference for x in "hd")
+    means = [mean(f"{x}-h") for x in ("unanchored", "rebuilt")]
+    text = "has {:.1f} without anchors and {:.1f} with robots made anew ({});"
+    assert text.format(*means, lower("h")) in words and abs(go2.value) < 0.05
     near = table.NEAR["h"]
     assert near == table.NEAR["g"] == 2 and "after the runs we took Go1's, 2 of 45" in words
-    assert f"the interval reaches {-low - near:.2f} and {high - near:.2f} beyond 2" in words
-    assert {f"{x:.1f}" for x in means} == {"38.4"}
-    text = "A Go2 has 38.4 of 45 both without anchors and with robots made anew;"
+    text = f"the interval reaches {-go2.low - near:.2f} and {go2.high - near:.2f} beyond 2"
     assert text in words
-    told = f"Go2 {less:.1f} higher ({-low:.1f} lower to {high:.1f} higher)"
-    assert all(told in other_page(x) for x in (".", "paper"))
+    assert {f"{x:.1f}" for x in means} == {"38.4"} and "a Go2 as much (38.4 of 45)" in words
+    means = [mean(f"{x}-d") for x in ("unanchored", "rebuilt")]
+    less = -anymal.value, -anymal.high, -anymal.low
+    holm = f"Holm {found['d'].p:.3f}"
+    text = "without anchors**: {:.1f} of 30, with robots made anew {:.1f}."
+    text += " That is {:.1f} less ({:.1f} to {:.1f}), {}"
+    assert text.format(*means, *less, holm) in words
+    text = "it has {:.1f} of 30, with robots made anew {:.1f} (three seeds, {} ["
+    assert text.format(*means, holm) in words
+    assert f"without them it keeps {means[0] / means[1]:.2f} of the return" in words
+    assert f"[an ANYmal-D](#anchors-on-other-robots) loses {less[0]:.1f} of 30" in words
+    falls = (table.values(gpu, f"{x}-d", 300, "fall_rate") for x in ("unanchored", "rebuilt"))
+    more = stats.difference(*(100 * np.array(x) for x in falls))
+    text = (
+        "Falls are in {:.1f} points more of the episodes ({:.1f} to {:.1f}, looked for afterwards)"
+    )
+    assert text.format(*more) in words
+    five = f"{-found['c'].difference.value:.1f} less"
+    assert f"**On five new seeds of an ANYmal-C it is open**: {five} ({lower('c')})" in words
+    assert f"an ANYmal-C has {five} on five fresh seeds ({lower('c')})" in words
+    told = f"Go2 {go2.value:.1f} higher ({-go2.low:.1f} lower to {go2.high:.1f} higher)"
+    one = found["c"].difference
+    told_c = f"{-one.value:.1f} lower on five fresh seeds ({-one.low:.1f} lower to {one.high:.1f} higher)"
+    told_d = "ANYmal-D {:.1f} lower ({:.1f} to {:.1f}; {})".format(*less, holm)
+    assert all(x in other_page(y) for x in (told, told_c, told_d) for y in (".", "paper"))
     more, fewer = (
         stats.difference(*(table.values(gpu, f"{x}-{robot}", 300) for x in ("rebuilt", "tail")))
         for robot in "hd"
@@ -702,29 +755,62 @@ def test_the_pages_say_what_anchors_do_on_other_robots(gpu):
     assert text.format(*numbers) in words
 
 
+def test_the_pages_say_what_tails_that_branch_do_on_a_gpu(gpu):
+    """By the rule, which leaves all four open; and both changes together, looked for afterwards."""
+    words = " ".join((HERE / "README.md").read_text().split())
+    found = table.found(gpu, table.TABLES["Branching, and its advantages alone"])
+    assert [(pair.job, pair.beside, pair.robot) for pair in found] == [
+        (x, y, robot) for x, y in (("branch", "cut"), ("cut", "tail")) for robot in "gc"
+    ]
+    assert {one.verdict for one in found.values()} == {"open"}
+    more, less = (
+        [one.difference.value for p, one in found.items() if p.job == x] for x in ("branch", "cut")
+    )
+    text = "in the mean they have {:.1f} (Go1) and {:.1f} (ANYmal-C) more than the last"
+    assert text.format(*more) in words
+    assert (
+        "**`cut` has {:.1f} and {:.1f} less than `tail` in the mean.**".format(*(-x for x in less))
+        in words
+    )
+    one, other = (
+        stats.difference(*(table.values(gpu, f"{x}-{robot}", 300) for x in ("branch", "tail")))
+        for robot in "gc"
+    )
+    text = "a Go1 has {:.1f} less ({:.1f} less to {:.1f} more), an ANYmal-C {:.1f} less ({:.1f} to {:.1f})."
+    assert (
+        text.format(-one.value, -one.low, one.high, -other.value, -other.high, -other.low) in words
+    )
+    one, other = (found[table.Pair(x, "branch", "cut", "ppo16", 300)] for x in "gc")
+    text = "drawn rows have {:.1f} more on a Go1 ({:.1f} to {:.1f}) and {:.1f} more on an ANYmal-C"
+    told = text.format(*one.difference, other.difference.value)
+    _, low, high = other.difference
+    least = f"{min(one.p, other.p):.2g}"
+    told += f" ({-low:.1f} less to {high:.1f} more; three seeds, Holm {least} at least): open"
+    assert all(told in other_page(x) for x in (".", "paper"))
+
+
 def test_each_batch_has_the_jobs_that_the_page_says(gpu):
-    """All of jobs.txt have run, and five of anchors.txt; next.txt has the others. Those that were cut off, in
-    `cut.csv.xz`, are other runs than those that count."""
+    """All jobs have run. Those that were cut off, in `cut.csv.xz`, are other runs than those that count."""
     words = " ".join((HERE / "README.md").read_text().split())
     names = {line.split()[0] for line in (HERE / "jobs.txt").read_text().splitlines()}
     anchors = paper.jobs(HERE / "anchors.txt")
     fifth = {"tail-h", "rebuilt-h", "unanchored-h", "tail-d", "rebuilt-d"}
-    assert names | fifth == set(gpu) and fifth < {*anchors}
-    for name in fifth:
+    new = {**anchors, **paper.jobs(HERE / "eight.txt")}
+    assert names | {*new} == set(gpu) and len(anchors) == 12 and len(new) == 18
+    for name, job in new.items():
+        first, many = {"five": (720, 5), "eight": (710, 8)}.get(name.split("-")[0], (700, 3))
         assert [*gpu[name]] == [100, 200, 300]
         for rows in gpu[name].values():
-            assert [row["seed"] for row in rows] == ["700", "701", "702"]
-            assert {(row["job"], row["commit"][:8]) for row in rows} == {
-                (anchors[name], "32eca169")
-            }
-    (plan,) = (x for x in (HERE.parent / "next.txt").read_text().splitlines() if "/anchors " in x)
-    asked = plan.split("anchors.txt ")[1].split(" --")[0].split()
-    assert {x for x in anchors if x.startswith((*asked,))} == {*anchors} - fifth
+            assert [int(row["seed"]) for row in rows] == [*range(first, first + many)]
+            told = job, "32eca169" if name in fifth else "05f6d8fb", "NVIDIA H200"
+            assert {(row["job"], row["commit"][:8], row["device"]) for row in rows} == {told}
     told = (
         "five of the twelve jobs of [`anchors.txt`](#anchors-on-other-robots) on one of two H200 of"
     )
-    assert f"{told} one more host, 2026-11-29, at 32eca169, four at once (batch `fifth`)" in words
-    assert len(anchors) == 12 and "Five of the file's twelve jobs have run" in words
+    told += " one more host, 2026-11-29, at 32eca169, four at once (batch `fifth`); its other seven"
+    told += " and the six of `eight.txt` on four H200 of one host, 2026-11-29, at 05f6d8fb (batch `sixth`)"
+    assert told in words
+    assert "`five-`: 720 to 724; `eight-`: 710 to 717" in words
     batches = {
         name: {row["batch"] for rows in x.values() for row in rows} for name, x in gpu.items()
     }
@@ -737,6 +823,7 @@ def test_each_batch_has_the_jobs_that_the_page_says(gpu):
     later |= {f"robots1024-{x}-d" for x in table.TAILS}
     assert {name for name, batch in batches.items() if batch == {"third"}} == later
     assert {name for name, batch in batches.items() if batch == {"fifth"}} == fifth
+    assert {name for name, batch in batches.items() if batch == {"sixth"}} == {*new} - fifth
     assert all(len(batch) == 1 for batch in batches.values())
     cut = table.read(HERE / "results/cut.csv.xz")
     eight = {name: cut.pop(name) for name in [*cut] if name.startswith("eight-")}
@@ -855,8 +942,7 @@ def test_the_pages_say_what_tails_that_branch_did_on_two_cores():
     assert late[0] == "five-cut" and f"{told} or more. At 350 it has {last:.1f}." in words
     gap, verdict = f"({-more.low:.1f} less to {more.high:.1f} more", other_page(".")
     told = f"{more.value:.1f} more than those behind the last {gap}): no difference"
-    assert f"{told} | with tails of 16 rows **no**" in verdict
-    assert f"five seeds, Holm {p[0]:.2f}; with the paper" in verdict
+    assert f"{told} |" in verdict and f"five seeds, Holm {p[0]:.2f}" in verdict
     told = f"from drawn rows {more.value:.1f} more than behind the last {gap}, five seeds, Holm"
     assert f"{told} {p[0]:.2f};" in other_page("paper")
 
