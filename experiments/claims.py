@@ -48,6 +48,7 @@ COMMITS = {  # of batches of SECONDS; rows of the first do not have theirs
     "H200, 2026-11-29": "94da69b8",
     "H200, 2026-11-29, second host": "724e00df",
     "H200, 2026-11-29, third host": "32eca169",
+    "H200, 2026-11-29, fourth host": "05f6d8fb",
     "two cores, 2026-11-29": "215ed131",
 }
 CORES = "two CPU cores", "2026-11-26"
@@ -218,10 +219,25 @@ STATED = {  # name -> where, and the words
         (ROW_COST, "for {:.0f} times the steps (10 to 16)"),
     ],
     "go1 seconds to a walk, 32 physics steps": [
-        (ROW_COST, "s, and 1.56 instead of {:.2f}."),
+        (ROW_COST, "s, 1.56 instead of {:.2f}, and 2.29"),
     ],
     "go1 PPO seconds to a walk, 32 physics steps": [
-        (ROW_COST, "s, and {:.2f} instead of 1.92."),
+        (ROW_COST, "s, {:.2f} instead of 1.92, and"),
+    ],
+    "go1 seconds to 38, 64 physics steps": [
+        (ROW_COST, "it is shown (0.021): {:.2f} and 2.11 s"),
+    ],
+    "go1 PPO seconds to 38, 64 physics steps": [
+        (ROW_COST, "it is shown (0.021): 1.25 and {:.2f} s"),
+    ],
+    "go1 fast PPO's steps to 38, by best's, 64 physics steps": [
+        (ROW_COST, "for {:.0f} times the steps (8.6 to 21)"),
+    ],
+    "go1 seconds to a walk, 64 physics steps": [
+        (ROW_COST, "1.92, and 2.29 instead of {:.2f}."),
+    ],
+    "go1 PPO seconds to a walk, 64 physics steps": [
+        (ROW_COST, "1.92, and {:.2f} instead of 2.64."),
     ],
     "go1 seconds to 38, MuJoCo Warp": [
         ("README.md", "Go1, MuJoCo Warp's own step | 2.2 | {:.1f} |"),
@@ -529,6 +545,7 @@ def seconds():
         ("go1.kernel", "go1", "", {"38": "level"} | walks),
         ("go1.fine16", "go1", ", 16 physics steps", {"38": "level"} | walks),
         ("go1.fine32", "go1", ", 32 physics steps", {"38": "level"} | walks),
+        ("go1.fine64", "go1", ", 64 physics steps", {"38": "level"} | walks),
         ("go1.warp", "go1", ", MuJoCo Warp", {"38": "level"} | walks),
         ("go1.jax", "go1", ", MJX-JAX", {"38": "level"}),
         ("go1.exact", "go1", ", exact task", {"38": "level"}),

@@ -81,7 +81,7 @@ def main():
         pictures.log(axis, which="x")
         pictures.log(axis)
     axes[0, 0].set(xlim=(0.12, 130), ylim=(0.25, 300))
-    axes[0, 1].set_ylim(0.1, 100)
+    axes[0, 1].set_ylim(0.08, 100)
     pictures.outer(axes, "ms of a simulated row of 1024 robots")
     legend(page, places)
     pictures.save(page, Path(__file__).with_name("row_cost"))
@@ -122,12 +122,12 @@ def apart(costs: list[float]) -> np.ndarray:
 
 
 def pair(axis, ms: float, best, ppo, goal: str, column: int, number: int) -> None:
-    """`best` and PPO at a place, joined by a line, and below them its number. With t intervals where there
-    are `table.OFTEN` seeds and all get to the goal; else open, with how many do, at their mean. An arrow
-    stands where the runs of a setting end of which none does."""
+    """`best` and PPO at a place, joined by a line, and below them its number (above, if an interval goes
+    below 0). With t intervals where there are `table.OFTEN` seeds and all get to the goal; else open, with
+    how many do, at their mean. An arrow stands where the runs of a setting end of which none does."""
     from matplotlib.patheffects import withStroke
 
-    means, ends = [], []
+    means, ends, tops = [], [], []
     rim = [withStroke(linewidth=2, foreground="white")]  # where a computed line goes by
     how: dict[str, Any] = {"textcoords": "offset points", "path_effects": rim, "zorder": 5}
     unit = 1e6 if column == 1 else 1.0
@@ -164,9 +164,11 @@ def pair(axis, ms: float, best, ppo, goal: str, column: int, number: int) -> Non
             )
         means.append(one.mean)
         ends.append(one.mean - (bar or 0.0))
+        tops.append(one.mean + (bar or 0.0))
     axis.plot([ms, ms], means, color="0.6", lw=0.8, zorder=1)
-    how |= {"ha": "center", "va": "top", "fontsize": 9, "fontweight": "bold"}
-    axis.annotate(f"{number}", (ms, min(ends)), (ASIDE.get(best.place, 0), -6), **how)
+    how |= {"ha": "center", "fontsize": 9, "fontweight": "bold"}
+    at, side, more = (min(ends), "top", -6) if min(ends) > 0 else (max(tops), "bottom", 4)
+    axis.annotate(f"{number}", (ms, at), (ASIDE.get(best.place, 0), more), va=side, **how)
 
 
 def legend(page, places: dict[str, int]) -> None:

@@ -253,11 +253,12 @@ def steps(run: Run) -> np.ndarray:
 
 
 def settings(found: list[Run], place: str) -> tuple[Run, list[Run]] | None:
-    """`(best, PPO's)` of the last day on which `best` has five seeds, and so has a setting of PPO, all of
-    whose seeds get to the level; else, whether PPO was cut off that day or did not run, of the last on which
-    `best` has, else of that with most, and of that day's host with most settings of PPO. Of runs of `best`
-    all of whose seeds get to the level, and of PPO more than half. None where one of the two has not been
-    run, or no setting of PPO always gets there."""
+    """`(best, PPO's)` of the last day on which `best` and a setting of PPO, all of whose seeds get to the
+    level, have five seeds each on one host (PPO of another host, though of that day, is not beside it, and
+    may have fewer settings); else, whether PPO was cut off or did not run, of the last on which `best` has,
+    else of that with most, and of that day's host with most settings of PPO. Of runs of `best` all of whose
+    seeds get to the level, and of PPO more than half. None where one of the two has not been run, or no
+    setting of PPO always gets there."""
     here = [run for run in found if run.place == place]
     mine = [run for run in here if run.method == "best" and there(run) == 1]
     both = [(run, [ppo for ppo in beside(here, run) if there(ppo) > 0.5]) for run in mine]
@@ -266,7 +267,7 @@ def settings(found: list[Run], place: str) -> tuple[Run, list[Run]] | None:
     def worth(pair):
         best, ppos = pair
         whole = [ppo for ppo in ppos if there(ppo) == 1 and len(ppo.level) >= OFTEN]
-        often = any(day(ppo) == day(best) for ppo in whole)
+        often = any(ppo.batch == best.batch for ppo in whole)
         own = [ppo for ppo in ppos if ppo.batch == best.batch]
         return min(len(best.level), OFTEN), often, day(best)[1], len(own)
 

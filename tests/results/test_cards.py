@@ -1,6 +1,7 @@
 """experiments/cards.py: lanes of a plan on the GPUs of a host; and that what runs next can run."""
 
 import argparse
+import csv
 import importlib
 import os
 import shlex
@@ -12,6 +13,7 @@ import threading
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from dynappo.bench import command as bench
@@ -335,3 +337,52 @@ def test_ways_to_capture_a_step_that_have_run_are_not_run_again(tmp_path, monkey
         SystemExit, match="^--modes has 'WARPED', expected some of WARP, WARP_STAGED"
     ):
         graphs.main()
+
+
+def test_no_other_way_to_capture_a_step_is_as_much_faster_as_its_rule_asks():
+    """The table of 03_speed, its rule on results/graphs.csv, and what captures took."""
+    folder, found = ROOT / "experiments/03_speed", {}
+    for row in csv.DictReader((folder / "results/graphs.csv").read_text().splitlines()):
+        assert (row["commit"], row["device"]) == ("05f6d8fb5aa0", "NVIDIA H200")
+        each = found.setdefault((row["engine"], row["mode"]), {})
+        each.setdefault(row["seed"], []).append((float(row["ms"]), int(row["captures"])))
+    ways = ["WARP", "WARP_STAGED", "WARP_STAGED_EX", "JAX"]
+    assert [*found] == [("mujoco_warp", way) for way in ways[:3]] + [("kernel", x) for x in ways]
+    page = (folder / "README.md").read_text()
+    means = {}  # without a seed's first ten iterations
+    for (engine, way), seeds in found.items():
+        assert [*seeds] == [*"01234"] and {len(rows) for rows in seeds.values()} == {6}
+        means[engine, way] = [np.mean([ms for ms, _ in rows[1:]]) for rows in seeds.values()]
+        first, last = means[engine, way][0], means[engine, way][-1]
+        own = means[engine, "WARP"]
+        more = [100 * (first / own[0] - 1), 100 * (last / own[-1] - 1)]
+        beside = "" if way == "WARP" else ", ".join(f"{x:+.1f} %" for x in more) + " "
+        beside = beside.replace("-0.0", "0.0")
+        counts = np.diff([0, *(rows[-1][1] for rows in seeds.values())])
+        label = {"mujoco_warp": "MuJoCo Warp", "kernel": "our kernel"}[engine]
+        cells = f"{first:.2f} | {last:.2f} | {beside}| {', '.join(map(str, counts))}"
+        assert f"| {label}, `{way}` | {cells} |" in page
+        assert not (more[0] <= -3 and more[1] <= 1)  # the rule
+    words, warp = " ".join(page.split()), found["mujoco_warp", "WARP"]
+    own, staged = means["mujoco_warp", "WARP"], means["mujoco_warp", "WARP_STAGED"]
+    text = "takes {:.1f} % longer, with `WARP` itself {:.1f}."
+    assert text.format(*(100 * (x[0] / own[-1] - 1) for x in (staged, own))) in words
+    assert [n for rows in warp.values() for _, n in rows] == [2, *[3] * 5, *[4] * 6, *[5] * 18]
+    took, others = {}, {}
+    for engine in ("mujoco_warp", "kernel"):
+        second = [rows[1][0] for rows in found[engine, "WARP"].values()]
+        took[engine], others[engine] = (second[0] - np.mean(second[1:])) / 100, second
+    first, *rest = others["mujoco_warp"]
+    late = [np.mean([ms for ms, _ in rows[2:]]) for rows in warp.values()]
+    for text in (
+        f"**Those {100 * (own[0] / own[-1] - 1):.1f} % are one capture**, of {took['mujoco_warp']:.2f} s:"
+        f" iterations 11 to 20 of seed 0 take {first:.1f} ms, of the others {min(rest):.1f} to"
+        f" {max(rest):.1f}; from 21 to 60 the five take {min(late):.1f} to {max(late):.1f}.",
+        f"A capture of our kernel takes {took['kernel']:.2f} s.",
+    ):
+        assert text in words, text
+    # that of a seed's first ten, beside those of the last two seeds
+    usual = np.mean([warp[seed][0][0] for seed in "34"])
+    most = max(took["mujoco_warp"], *((warp[seed][0][0] - usual) / 100 for seed in "12"))
+    runs = " ".join((ROOT / "experiments/30_row_cost/runs.md").read_text().split())
+    assert f"Each takes up to {most:.2f} s, once," in runs

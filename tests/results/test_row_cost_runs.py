@@ -133,6 +133,9 @@ def test_seconds_where_a_row_costs_more_and_where_two_runs_break_even():
     assert table.settings([early, late, whole, most], "go1.kernel") == (late, [most])
     # a day without PPO is as one on which it was cut off; where no day has five seeds of it, the last
     assert table.settings([early, late, whole], "go1.kernel") == (early, [whole])
+    # PPO of another host of that day is not beside it
+    other_host = whole._replace(batch="G, day 2, second host", method="ppo4096")
+    assert table.settings([*days, other_host], "go1.kernel") == (early, [whole])
     elsewhere = whole._replace(batch="G, day 3")
     assert table.settings([early, late, elsewhere], "go1.kernel") == (late, [elsewhere])
     assert table.settings([early, late, cut, elsewhere], "go1.kernel") == (late, [cut])

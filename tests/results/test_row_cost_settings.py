@@ -305,7 +305,7 @@ def test_settings_for_seconds_with_mujoco_warp_are_as_the_pages_say():
     assert words.format(*means, sooner[0].value, span(sooner[0]), ratio) in readme
     for words in (
         f"It is the faster of two settings. Corrected for both, p is {holm:.3f}, so a difference is not",
-        f"on 2026-11-29 [PPO had two](runs.md#go1), and `best` took {means[1]:.2f} s.",
+        f"on 2026-11-29 [PPO had two](runs.md#go1) beside `best`, which took {means[1]:.2f} s, and five with",
         f"of `best` for seconds two of five ({cut.level[:, 2].mean():.1f} s)",
         "two rounds with 2048 robots {:.2f} s, `best` {:.2f}, PPO {:.2f}; with MuJoCo Warp {:.2f} and"
         " {:.2f};".format(
@@ -367,7 +367,7 @@ def test_the_first_two_seeds_of_a_process_are_the_slow_ones_with_mujoco_warp():
     assert len(some) == sum(map(len, more.values()))
     spans = [f"{min(x):.0f} to {max(x):.0f} %" for x in more.values()]
     runs = row_cost_words("runs")
-    hosts = {7: "seven"}[len({key[0] for key in some})]
+    hosts = {8: "eight"}[len({key[0] for key in some})]
     text = f"in all {len(some)} processes with that step and three seeds or more, on {hosts} hosts:"
     assert f"{text} with `best` by {spans[0]}, with PPO by {spans[1]}." in runs
     last = "H200, 2026-11-29, second host"
@@ -418,17 +418,17 @@ def test_the_first_two_seeds_are_a_little_slow_with_our_kernel_too():
     for words in (
         f"in {slow} of {len(ours)} processes with three seeds or more, but less: in the median by"
         f" {np.median(ours):.1f} %, at most by {max(ours):.1f}.",
-        f"With MJX-JAX it is {min(jax):.0f} to {max(jax):.0f} % (four processes).",
+        f"With MJX-JAX it is {min(jax):.0f} to {max(jax):.0f} % (five processes).",
     ):
         assert words in runs, words
-    assert len(jax) == 4
+    assert len(jax) == 5
     day = "H200, 2026-11-27"
     both = more["kernel"][day, "go1.kernel.best"], more["go1.warp"][day, "go1.warp.best"]
     words = "take {:.0f} % longer an iteration than the others, here {:.0f}.".format(*both)
     assert f"the first two of `best` {words}" in row_cost_words("computed")
     # with that step by more than with our kernel, in the median
     dear = [x for kind in more if kind not in ("kernel", "go1.jax") for x in more[kind].values()]
-    assert len(dear) == 22 and np.median(dear) > 2 * np.median(ours)
+    assert len(dear) == 25 and np.median(dear) > 2 * np.median(ours)
 
 
 def test_ppo_for_seconds_is_an_older_setting_than_the_headlines():
@@ -528,8 +528,8 @@ def test_what_runs_again_is_as_before_on_new_seeds_and_as_its_rules_say():
     fine = {f"go1.fine{steps}.{x}" for steps in (16, 32) for x in ("best", "ppo2048")}
     assert {*since} == fine and all(x == {*range(1110, 1115)} for x in since.values())
     page = row_cost_words("next")
-    words = "Since then 1110 to 1114 have run with [more physics steps in a row](runs.md#more-physics-steps)"
-    assert words in page and "fine16" not in page and "fine32" not in page
+    words = "Since then 1110 to 1114 have run with [16 and 32 physics steps in a row]"
+    assert f"{words}(runs.md#more-physics-steps)" in page and "fine" not in page
     assert f"With 2048 robots that is iteration {half:.0f}, long before `ppo2048`" in page
     # all that has not run is named, and nothing else
     ran = {(x["name"], x["seed"]) for x in rows}
@@ -587,15 +587,13 @@ def test_a_row_of_more_physics_steps_is_as_long():
         assert one[2:] == other[2:] and one.seeds == 5 and one.warmup == 2
 
 
-def test_what_is_expected_of_64_physics_steps_is_computed_from_the_runs_with_4():
-    """By the cost that 16 and 32 steps had; on seeds that no Go1 has run on."""
+def test_what_was_expected_of_64_physics_steps_was_computed_from_the_runs_with_4():
+    """By the cost that 16 and 32 steps had; on seeds that no other job of a Go1 has."""
     table = script(f"{ROW_COST}/table")
     found = table.runs()
-    text = (EXPERIMENTS / ROW_COST / "next.md").read_text().split("## The rule of `fine64`\n")[1]
-    told = " ".join(text.split("\n## ")[0].split())
+    told = row_cost_words("runs")
     two = [table.cost(found, table.settings(found, f"go1.fine{n}")[0]) for n in (16, 32)]
     ms = two[1] + (64 - 32) * (two[1] - two[0]) / (32 - 16)
-    assert f"we expect {ms:.2f} ms a row" in told
     best, ppos = table.settings(found, "go1.kernel")
     (ppo,) = [x for x in ppos if x.method == "ppo2048"]
     own, power = table.cost(found, best), table.power_of("go1.kernel")
@@ -603,36 +601,41 @@ def test_what_is_expected_of_64_physics_steps_is_computed_from_the_runs_with_4()
         [table.later(way(x), own, ms, power) for x in (best, ppo)]
         for way in (lambda x: x, table.to_walk)
     )
-    text = (
-        f"{level[0].mean():.2f} s with `best` and {level[1].mean():.2f} with PPO, which five seeds"
+    text = f"**We had expected** {ms:.2f} ms a row, {level[0].mean():.2f} s with `best` and"
+    assert f"{text} {level[1].mean():.2f} with PPO, which five seeds show." in told
+    last = (
+        f"We had expected {walk[1].mean():.1f} and {walk[0].mean():.1f}, and that no difference is"
     )
-    last = f"{walk[0].mean():.1f} and {walk[1].mean():.1f}, which they do not."
-    assert f"{text} do show; to a walk {last}" in told
+    assert f"{last} shown." in told
     assert stats.welch_of(*level) < 0.001 and stats.welch_of(*walk) > 0.05
-    ran = (row for row in table.read() if "laptop" not in row["name"])
-    assert not any(int(row["seed"]) in range(1118, 1125) for row in ran)
+    ran = [row for row in table.read() if "laptop" not in row["name"]]
+    names = {row["name"] for row in ran if int(row["seed"]) in range(1118, 1125)}
+    assert names == {"go1.fine64.best", "go1.fine64.ppo2048"}
 
 
 def test_what_the_pages_say_of_a_row_of_more_physics_steps_is_so():
-    """By the rule set before them: two Welch tests of the seconds to the level, by Holm; what had been
+    """By the rules set before them: Welch tests of the seconds to the level, by Holm; what had been
     expected, and what is computed from the runs with 4 physics steps."""
-    table, batch = script(f"{ROW_COST}/table"), "H200, 2026-11-29, third host"
-    found, jobs = table.runs(), of_host(table, batch)
+    table, day = script(f"{ROW_COST}/table"), "H200, 2026-11-29"
+    found, jobs = table.runs(), of_host(table, f"{day}, third host")
     lines = (EXPERIMENTS / ROW_COST / "jobs.txt").read_text().splitlines()
     assert {*jobs} == {f"go1.fine{n}.{x}" for n in (16, 32) for x in ("best", "ppo2048")}
+    last = of_host(table, f"{day}, fourth host")
+    jobs |= {name: last[name] for name in ("go1.fine64.best", "go1.fine64.ppo2048")}
     slower, each = {}, []  # % of the first two seeds; s of ten iterations
     for name, seeds in jobs.items():
         rows = [row for some in seeds.values() for row in some]
-        assert [*map(int, seeds)] == [*range(1110, 1115)]
+        first, commit = (1120, "05f6d8fb5aa0") if "64" in name else (1110, "32eca1697358")
+        assert [*map(int, seeds)] == [*range(first, first + 5)]
         assert {f"{name} {row['job']}" for row in rows} <= {*lines}
-        assert {(row["commit"], row["device"]) for row in rows} == {("32eca1697358", "NVIDIA H200")}
+        assert {(row["commit"], row["device"]) for row in rows} == {(commit, "NVIDIA H200")}
         assert all(
             int(x["iteration"]) == 10 * k for some in seeds.values() for k, x in enumerate(some, 1)
         )
         ms = [1e3 * float(x[-1]["seconds"]) / int(x[-1]["iteration"]) for x in seeds.values()]
         slower[name.partition(".")[2]] = 100 * (np.mean(ms[:2]) / np.mean(ms[2:]) - 1)
         each.append(np.mean(ms) / 100)
-    pairs = [table.settings(found, f"go1.fine{steps}") for steps in (16, 32)]
+    pairs = [table.settings(found, f"go1.fine{steps}") for steps in (16, 32, 64)]
     both = [(best, ppo) for best, (ppo,) in pairs]
     costs = [table.cost(found, best) for best, _ in both]
     assert all(np.isfinite([x.level, x.walks]).all() for pair in both for x in pair)
@@ -640,7 +643,10 @@ def test_what_the_pages_say_of_a_row_of_more_physics_steps_is_so():
     walks = [[x.walks[:, 2] for x in pair] for pair in both]
     p = [stats.welch_of(*pair) for pair in clocks]
     holm = stats.holm(p)
-    assert min(holm) > 0.05 and costs[0] < 0.5 and costs[1] < 0.95  # "shown at neither"; "cheaper"
+    assert min(holm[:2]) > 0.05 > holm[2]  # "shown at neither", "`best` is sooner"
+    assert costs[0] < 0.5 and costs[1] < 0.95  # "cheaper"
+    assert stats.holm(p[:2]).tolist() == holm[:2].tolist()
+    gain = stats.difference(*clocks[2][::-1])
     less, more = stats.difference(*clocks[0]), stats.difference(*clocks[1][::-1])
     sooner = [stats.difference(*pair) for pair in walks]
     # expected, and computed at the costs that rows had, from the runs with 4
@@ -653,12 +659,18 @@ def test_what_the_pages_say_of_a_row_of_more_physics_steps_is_so():
 
     expected = [x.mean() for ms in (0.5, 0.95) for x in at(ms)]
     levels, walking = ([at(ms, way) for ms in costs] for way in (lambda x: x, table.to_walk))
+    early = []  # of twelve
     for measured, computed in ((clocks, levels), (walks, walking)):
         for some, others in zip(measured, computed, strict=True):
-            gaps = [stats.difference(*x) for x in zip(some, others, strict=True)]
-            assert all(gap.low < 0 < gap.high for gap in gaps)  # "Of none a difference is shown"
-    computed = [stats.welch_of(*x) for x in levels]
-    (one, two), gap = levels[1], levels[1][1].mean() - levels[1][0].mean()
+            gaps = [stats.difference(*x) for x in zip(others, some, strict=True)]
+            early += [(k, gap) for k, gap in enumerate(gaps) if not gap.low < 0 < gap.high]
+    ((who, early),) = early  # "to a walk of one of six"
+    wide = stats.difference(walking[2][1], walks[2][1])
+    assert who == 1 and early == wide
+    slow, *others = sorted(both[2][0].level[:, 2])[::-1]
+    late = both[2][0].walks[:, 2].max()
+    assert both[2][0].walks[:, 0].max() == 240 and int([*last["go1.fine64.best"]][1]) == 1121
+    assert both[2][0].level[1, 2] == slow and both[2][0].walks[1, 2] == late
     even = [
         (table.even(one, [two], ms), table.even(table.to_walk(one), [table.to_walk(two)], ms))
         for (one, two), ms in zip(both, costs, strict=True)
@@ -685,7 +697,17 @@ def test_what_the_pages_say_of_a_row_of_more_physics_steps_is_so():
     few = "{:.0f} times the steps ({:.2g} to {:.0f})"
     told = {
         "runs": [
-            f"every 10 iterations, {min(each):.2f} to {max(each):.2f} s of training, on 500 episodes",
+            f"every 10 iterations, {min(each[:4]):.2f} to {max(each[:4]):.2f} s of training, on 500 episodes",
+            "Evaluated every {:.2f} (`best`) and {:.2f} s (PPO).".format(*each[4:]),
+            f"At {costs[2]:.3f} ms PPO takes {around(gain, 2, ' s more than `best`')[:-1]}, p {p[2]:.3f}, by"
+            f" Holm {holm[2]:.3f}), {around(times[2], 2, ' times as long')[:-1]}; intervals are",
+            f"1121 takes {slow:.2f} s, the other four {min(others):.2f} to {max(others):.2f}.",
+            f"the rest right: {means[2][0]:.2f} and {means[2][1]:.2f} s. At {costs[2]:.3f} ms"
+            f" {levels[2][0].mean():.2f} and {levels[2][1].mean():.2f} are computed.",
+            f"PPO takes {means[5][1]:.2f} and `best` {means[5][0]:.2f} s: {around(sooner[2], 2, ' s less')}.",
+            f"Seed 1121 of `best` walks after {late:.2f} s, in the last two of 25 evaluations.",
+            f"is {even[2][0].replace(' (', ' ms (').replace('0.2 ', '0.20 ')}, to a walk {even[2][1][:-1]};"
+            f" computed). A row of 2048 robots took {many[2]:.2f} ms, {shares[2]:.2f} times one of 1024.",
             f"At {costs[0]:.3f} ms PPO takes {around(less, 2, ' s less')[:-1]}, p {p[0]:.2f}, by Holm"
             f" {holm[0]:.2f}), at {costs[1]:.3f} ms {around(more, 2, ' s more than `best`')[:-1]}, p"
             f" {p[1]:.3f}, by Holm {holm[1]:.3f}).",
@@ -693,17 +715,14 @@ def test_what_the_pages_say_of_a_row_of_more_physics_steps_is_so():
             " {:.2f} at 0.5 ms, which five seeds may not show, and {:.2f} and {:.2f} at 0.95 ms,".format(
                 *expected
             ),
-            f"would tell {one.mean():.2f} from {two.mean():.2f} s at {costs[1]:.3f} ms (p {computed[1]:.3f},"
-            f" by Holm {stats.holm(computed)[1]:.3f}); measured it is {more.value:.2f} instead of"
-            f" {gap:.2f} s,",
             f"16 physics steps more took {costs[1] - costs[0]:.2f} ms, not {0.95 - 0.5:.2f}.",
-            f"PPO takes {means[2][1]:.2f} and `best` {means[2][0]:.2f} s at {costs[0]:.3f} ms:"
-            f" {around(sooner[0], 2, ' s less')}; {means[3][1]:.2f} and {means[3][0]:.2f} s at"
+            f"PPO takes {means[3][1]:.2f} and `best` {means[3][0]:.2f} s at {costs[0]:.3f} ms:"
+            f" {around(sooner[0], 2, ' s less')}; {means[4][1]:.2f} and {means[4][0]:.2f} s at"
             f" {costs[1]:.3f} ms: {around(sooner[1], 2, ' less')}.",
             f"is {even[0][0].replace(' (', ' ms (')} with 16 and {even[1][0]} with 32 physics steps; to"
             f" a walk {even[0][1]} and {even[1][1][:-1]}; all computed).",
             "took {:.2f} and {:.2f} ms, {:.2f} and {:.2f} times one of 1024; computed is {:.2f}.".format(
-                *many, *shares, 2**power
+                *many[:2], *shares[:2], 2**power
             ),
             "of `best` take {:.1f} and {:.1f} % longer an iteration than the other three, though two were"
             " thrown away before them, those of PPO {:.1f} and {:.1f} %.".format(
@@ -711,32 +730,33 @@ def test_what_the_pages_say_of_a_row_of_more_physics_steps_is_so():
             ),
         ],
         "computed": [
-            "| | computed at {:.3f} ms | measured, 16 | computed at {:.3f} ms | measured, 32 |".format(
-                *costs
-            ),
+            "| | computed at {:.3f} ms | measured, 16 | computed at {:.3f} ms | measured, 32 | computed at"
+            " {:.3f} ms | measured, 64 |".format(*costs),
             line("`best`, to the level", levels, clocks, 0),
             line("PPO, 2048 robots, to the level", levels, clocks, 1),
             line("`best`, to a walk", walking, walks, 0),
             line("PPO, 2048 robots, to a walk", walking, walks, 1),
-            f"is {even[0][0].replace(' (', ' ms (')} and {even[1][0]}, to a walk {even[0][1]} and"
-            f" {even[1][1]}.",
-            "needs {:.0f} and {:.0f} rows of 1024 robots, PPO {:.0f} and {:.0f} of 2048. All else takes"
-            " {:.1f} and {:.1f} ms an iteration with `best`, {:.1f} and {:.1f} with PPO.".format(
-                *np.transpose(rows).ravel(), *np.transpose(rest).ravel()
-            ),
+            f"with 64 physics steps PPO walks {around(early, 2, ' s sooner than computed')[:-1]}; not",
+            f"is {even[0][0].replace(' (', ' ms (')}, {even[1][0]} and {even[2][0].replace('0.2 ', '0.20 ')},"
+            f" to a walk {even[0][1]}, {even[1][1]} and {even[2][1]}.",
+            "needs {:.0f}, {:.0f} and {:.0f} rows of 1024 robots, PPO {:.0f}, {:.0f} and {:.0f} of 2048. All"
+            " else takes {:.1f}, {:.1f} and {:.1f} ms an iteration with `best`, {:.1f}, {:.1f} and {:.1f}"
+            " with PPO.".format(*np.transpose(rows).ravel(), *np.transpose(rest).ravel()),
         ],
         "README": [
-            "a row costs {:.2f} or {:.2f} ms. At {:.2f} ms a Go1".format(*costs, costs[0]),
+            "a row costs {:.2f}, {:.2f} or {:.2f} ms. At {:.2f} ms a Go1".format(*costs, costs[0]),
             f"after {means[0][0]:.2f} s with `best` and {means[0][1]:.2f} with PPO, which takes"
             f" {around(times[0], 2, ' times as long')}, for {few.format(*steps[0])}.",
             f"At {costs[1]:.2f} ms it is {means[1][0]:.2f} and {means[1][1]:.2f} s: PPO takes"
             f" {around(times[1], 2, ' times as long')[:-1]}, not corrected), for"
             f" {few.format(*steps[1])}.",
-            f"at neither cost (Welch's p by Holm {holm[0]:.2f} and {holm[1]:.3f}). To a walk, told without a"
-            f" test, PPO takes {means[2][1]:.2f} instead of {means[2][0]:.2f} s, and {means[3][1]:.2f}"
-            f" instead of {means[3][0]:.2f}.",
-            "it is {} and {} ms, to a walk {} and {}.".format(
-                *(even[k][way].partition(" ")[0] for way in (0, 1) for k in (0, 1))
+            f"at neither cost (Welch's p by Holm {holm[0]:.2f} and {holm[1]:.3f}). At {costs[2]:.2f} ms it is"
+            f" shown ({holm[2]:.3f}): {means[2][0]:.2f} and {means[2][1]:.2f} s, PPO takes"
+            f" {around(times[2], 2, ' times as long')}, for {few.format(*steps[2])}. To a walk, told without"
+            f" a test, PPO takes {means[3][1]:.2f} instead of {means[3][0]:.2f} s, {means[4][1]:.2f} instead"
+            f" of {means[4][0]:.2f}, and {means[5][1]:.2f} instead of {means[5][0]:.2f}.",
+            "it is {}, {} and {} ms, to a walk {}, {} and {}.".format(
+                *(even[k][way].partition(" ")[0] for way in (0, 1) for k in range(3))
             ),
         ],
     }
