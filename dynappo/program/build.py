@@ -198,6 +198,7 @@ def program(
             starting = pool.submit(init.lower(hyper, key).compile, once)
         # several devices or processes share settings and steps of a compilation: at the first call
         soon = run.eval_envs and mesh.size == 1 and jax.process_count() == 1
+        soon = soon and not _captures_long(config, robot, impl)
         if soon:
             evaluated_on = made.engine
             with made.evaluating:
@@ -213,14 +214,15 @@ def program(
             later = concurrent.futures.ThreadPoolExecutor(1)
             evaluating = later.submit(lowered.compile, repeated)
             later.shutdown(wait=False)
-            if _captures_long(config, robot, impl):
-                evaluating.result()
     size = memory.needed(compiled)
     memory.check_compiled(config, size, memory.limit(mesh.local_devices[0]))
     distributed.barrier()
-    if impl == "warp":  # its kernels are built and loaded at the first call
-        once = {name: np.minimum(column, 1) for name, column in part.items()}
-        jax.block_until_ready(compiled(hyper, jax.tree.map(jnp.copy, state), once))
+    if impl == "warp":  # what is left to load is loaded at the first call
+        from dynappo.physics.warp import building
+
+        building.wait()
+        single = {name: np.minimum(column, 1) for name, column in part.items()}
+        jax.block_until_ready(compiled(hyper, jax.tree.map(jnp.copy, state), single))
 
     return Program(
         robot=robot,
@@ -242,11 +244,13 @@ def program(
 
 
 def _captures_long(config, robot, impl: str) -> bool:
-    """Whether XLA may not compile beside the first iterations, in which CUDA graphs are captured.
+    """Whether XLA must not compile beside training: the evaluation is then compiled when it is first asked.
 
-    XLA times kernels while it compiles for a GPU, and waits for the device; a capture under way is invalid
-    then (CUDA error 901). A kernel of ours is captured in an instant, and has never met that. MuJoCo Warp's
-    step is hundreds of launches: three of six runs ended so, three at a time on an H200, nothing in a cache.
+    XLA times kernels while it compiles for a GPU. If it waits for the whole device, CUDA ends the capture of
+    a graph that is under way (error 901). A kernel of ours is captured in 0.01 s, and has never met that;
+    MuJoCo Warp's step takes 0.07 (experiments/03_speed). Three of six runs with it ended so, three at a time
+    on an H200 with nothing in a cache; that this is why is likely, not shown. An environment of one's own
+    may step MuJoCo Warp, too, which is not known here.
     """
     from dynappo.physics import ground
     from dynappo.physics.warp import scope

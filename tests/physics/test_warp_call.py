@@ -4,12 +4,15 @@ Both are `engine.simulate`. Sums of Warp have no fixed order on GPUs, and XLA ro
 otherwise than Warp does.
 """
 
+import concurrent.futures
+import threading
 from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from answers import PATIENCE
 from jax.sharding import PartitionSpec
 from mujoco import mjx
 
@@ -269,6 +272,37 @@ def test_all_kernels_of_a_step_are_found_before_it(world, expected, monkeypatch)
     own = {(warp_call.__name__, size) for _, size in loaded}  # Warp's for a function of JAX's
     ours = fits(engine, world.config)
     assert (len(found) == 1 if ours else len(found) > 20) and loaded - own == found - own
+
+
+def test_a_programs_first_call_finds_its_kernels_built(monkeypatch):
+    """Those of all steps that were traced: `wait` returns when the last is loaded, or raises what it did."""
+    monkeypatch.setattr(building, "_LOADS", [])
+    done, go = [], threading.Event()
+
+    class Module:
+        def __init__(self, name):
+            self.name = name
+
+        def load(self, device, block_dim):
+            assert go.wait(PATIENCE)
+            if self.name == "broken":
+                raise RuntimeError("no such file")
+            done.append((self.name, device, block_dim))
+
+    first = building.start({(Module("a"), 1), (Module("b"), 2)}, ["x", "y"])
+    building.start({(Module("c"), 3)}, ["x"])
+    waiting = concurrent.futures.ThreadPoolExecutor(1).submit(building.wait)
+    with pytest.raises(TimeoutError):
+        waiting.result(0.05)
+    go.set()
+    waiting.result(PATIENCE)
+    of_two = {(name, device, size) for name, size in (("a", 1), ("b", 2)) for device in "xy"}
+    assert {*done} == {*of_two, ("c", "x", 3)} and len(done) == 5
+    first()
+    building.wait()  # nothing is left
+    building.start({(Module("broken"), 1)}, ["x"])
+    with pytest.raises(RuntimeError, match="^no such file$"):
+        building.wait()
 
 
 def test_launches_are_only_noted():

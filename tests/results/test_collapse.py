@@ -428,6 +428,20 @@ def test_pages_say_on_which_robots_new_weights_are_shown_to_collapse(gpu):
     ]
     text = "here they are {:.1f} ({:.1f} to {:.1f}) and {:.1f} ({:.1f} to {:.1f}) below it"
     assert text.format(*below[0], *below[1]) in words
+    grown = [
+        [np.mean(table.values(gpu, f"eight-cold-ramp-{x}", n)) for n in (200, 300)] for x in "gc"
+    ]
+    text = "a Go1 with the ramp rises from {:.1f} to {:.1f} in the mean, and two of its eight seeds are above"
+    assert (
+        text.format(*grown[0])
+        + " 0.65 of PPO-16; an ANYmal-C rises from {:.1f} to {:.1f}.".format(*grown[1])
+        in words
+    )
+    least = 0.65 * np.mean(table.values(gpu, "ppo16-g", 300))
+    assert sum(x > least for x in table.values(gpu, "eight-cold-ramp-g", 300)) == 2
+    ends = sorted(table.values(gpu, "eight-cold-g", 300))
+    text = "four of eight Go1 end at {:.0f} to {:.0f} with few falls, four at {:.0f} to {:.0f}."
+    assert text.format(ends[0], ends[3], ends[4], ends[7]) in words
     most = f"{max(one.p for one in cold):.2g}"
     short = "on eight fresh seeds a Go1 has {} and an ANYmal-C {} of PPO-16's return".format(
         *shares
@@ -725,6 +739,27 @@ def test_the_pages_say_what_anchors_do_on_other_robots(gpu):
     text = "without anchors**: {:.1f} of 30, with robots made anew {:.1f}."
     text += " That is {:.1f} less ({:.1f} to {:.1f}), {}"
     assert text.format(*means, *less, holm) in words
+    four = [
+        stats.welch_of(*(table.values(gpu, f"{x}-{robot}", 300) for x in pair))
+        for robot, *pair in (
+            *((x, "unanchored", "rebuilt") for x in "hdg"),
+            ("c", "five-unanchored", "five-rebuilt"),
+        )
+    ]
+    with_go1 = f"{stats.holm(four)[1]:.3f}"
+    assert f"as a fourth it is {with_go1}. The two sides ran on two hosts." in words
+    assert f"over three robots, with Go1 as a fourth {with_go1}, and its two sides" in other_page(
+        "."
+    )
+    assert f"over three robots; with Go1 as a fourth {with_go1}; its two sides" in other_page(
+        "paper"
+    )
+    shares = [
+        mean(f"{x}unanchored-{robot}") / mean(f"{x}rebuilt-{robot}")
+        for x, robot in (("", "h"), ("", "d"), ("", "g"), ("five-", "c"))
+    ]
+    assert f"each has {min(shares):.2f} or more of what robots made anew have" in words
+    assert max(mean("unanchored-d"), mean("five-unanchored-c")) < 24
     text = "it has {:.1f} of 30, with robots made anew {:.1f} (three seeds, {} ["
     assert text.format(*means, holm) in words
     assert f"without them it keeps {means[0] / means[1]:.2f} of the return" in words
@@ -780,12 +815,18 @@ def test_the_pages_say_what_tails_that_branch_do_on_a_gpu(gpu):
     assert (
         text.format(-one.value, -one.low, one.high, -other.value, -other.high, -other.low) in words
     )
+    whole = (-one.value, -one.low, one.high, -other.value, -other.high, -other.low)
     one, other = (found[table.Pair(x, "branch", "cut", "ppo16", 300)] for x in "gc")
     text = "drawn rows have {:.1f} more on a Go1 ({:.1f} to {:.1f}) and {:.1f} more on an ANYmal-C"
     told = text.format(*one.difference, other.difference.value)
     _, low, high = other.difference
     least = f"{min(one.p, other.p):.2g}"
-    told += f" ({-low:.1f} less to {high:.1f} more; three seeds, Holm {least} at least): open"
+    told += f" ({-low:.1f} less to {high:.1f} more; three seeds, Holm {least} at least); beside the paper's"
+    text = (
+        " tail itself {:.1f} less ({:.1f} less to {:.1f} more) and {:.1f} less ({:.1f} to {:.1f};"
+    )
+    told += text.format(*whole)
+    told += " uncorrected, another host): open"
     assert all(told in other_page(x) for x in (".", "paper"))
 
 

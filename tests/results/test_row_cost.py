@@ -158,7 +158,7 @@ def test_where_no_go1_ran_and_what_was_not_tuned_is_as_the_pages_of_seconds_say(
     walk = table.even(table.to_walk(best), [table.to_walk(x) for x in ppos], own)
     for text in (
         "more than {:.2f} ms ({:.2f} to {:.2f})".format(*level),
-        f"sooner from {walk.replace(' (', ' ms on (')}.",
+        f"sooner from {walk.replace(' (', ' ms on (')}, though measured at 0.98 PPO walks sooner in the mean",
     ):
         assert text in pages["README"], text
     more = "go1.warp", "go1.exact", "anymal_c.exact", "go1.jax"

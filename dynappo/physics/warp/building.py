@@ -2,7 +2,8 @@
 
 Why: Warp builds a module when one of its kernels is first launched. The first physics step would build
 forty modules, one after the other, after XLA is done: most of the first start. Here the step runs once
-without its launches, to see which kernels it has.
+without its launches, to see which kernels it has. `wait` comes before a program's first call: a call is
+captured as a CUDA graph, and one that waited for its kernels would keep the capture open meanwhile.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ import numpy as np
 import warp as wp  # pyright: ignore[reportMissingImports]
 
 from dynappo.physics.cores import cores
+
+_LOADS: list[concurrent.futures.Future] = []  # of all modules, until `wait`
 
 
 def launched(call: Callable[..., None], *arrays) -> set[tuple[Any, int]]:
@@ -65,9 +68,16 @@ def start(modules: set[tuple[Any, int]], devices: list[Any]) -> Callable[[], Non
         for device in devices
     ]
     pool.shutdown(wait=False)
+    _LOADS.extend(loads)
+    return lambda: _wait_for(loads)
 
-    def wait() -> None:
-        for load in loads:
-            load.result()
 
-    return wait
+def wait() -> None:
+    """Wait for all modules that were started in this process."""
+    _wait_for(_LOADS)
+    _LOADS.clear()
+
+
+def _wait_for(loads: list[concurrent.futures.Future]) -> None:
+    for load in loads:
+        load.result()

@@ -7,8 +7,8 @@ Why not `mjx.step`: it takes and returns all 168 arrays of mjx.Data, which every
 copies for nothing: 0.95 of a row's 4.40 ms with 4096 Go1 on an H100. Why not a call for each physics step:
 XLA's loop around it launches the small kernels of motors and feet four times a row (measured in
 experiments/03_speed). A call is captured as a CUDA graph for each set of addresses that JAX passes
-(`GraphMode.WARP`, MJX's default; the last 32 are kept). Warp's other modes were measured, and none was found
-to be faster (experiments/03_speed).
+(`GraphMode.WARP`, MJX's default; the last 32 are kept). Warp's other modes were measured, and by a rule set
+before none is faster (experiments/03_speed).
 
 Warp keeps the other arrays itself, on each device of this process: for each model, one set for each
 number of robots that a program is traced with (when batching over seeds, also for the robots of one

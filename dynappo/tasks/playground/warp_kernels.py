@@ -25,7 +25,7 @@ def quiet(mjx_model: Any) -> Any:
 
 
 def build(task: Any) -> None:
-    """Begin to build the kernels of the task's physics; they are waited for where they are launched."""
+    """Begin to build the kernels of the task's physics; `building.wait` waits for them."""
     wp.config.log_level = wp.LOG_WARNING  # else a line for each kernel that is loaded
     gpu = jax.local_devices()[0].platform == "gpu"
     devices = [wp.get_cuda_device(d.local_hardware_id) for d in jax.local_devices() if gpu]
