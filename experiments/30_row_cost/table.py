@@ -253,12 +253,16 @@ def steps(run: Run) -> np.ndarray:
 
 
 def settings(found: list[Run], place: str) -> tuple[Run, list[Run]] | None:
-    """`(best, PPO's)` of the last day on which `best` and a setting of PPO, all of whose seeds get to the
-    level, have five seeds each on one host (PPO of another host, though of that day, is not beside it, and
-    may have fewer settings); else, whether PPO was cut off or did not run, of the last on which `best` has,
-    else of that with most, and of that day's host with most settings of PPO. Of runs of `best` all of whose
-    seeds get to the level, and of PPO more than half. None where one of the two has not been run, or no
-    setting of PPO always gets there."""
+    """`(best, PPO's)` of a place. Of the runs of `best` all of whose seeds get to the level, in this order:
+
+    - one of five seeds or more, else of most;
+    - beside it, on its host, five seeds of a setting of PPO that all get to the level. One of another host
+      may be cheaper or dearer, and beside it fewer settings of PPO may have run;
+    - the last day;
+    - on its host most settings of PPO.
+
+    Of PPO the settings of which more than half of the seeds get there. None where `best` or PPO has not been
+    run, or no setting of PPO always gets there."""
     here = [run for run in found if run.place == place]
     mine = [run for run in here if run.method == "best" and there(run) == 1]
     both = [(run, [ppo for ppo in beside(here, run) if there(ppo) > 0.5]) for run in mine]
