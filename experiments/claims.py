@@ -136,7 +136,6 @@ STATED = {  # name -> where, and the words
         ("experiments/24_off_policy/README.md", "(Go1, today's task) after {:.2f} M simulator"),
     ],
     "go1 CrossQ with 64 robots, first at 38": [
-        ("README.md", "CrossQ with 64 robots needs {:.0f} thousand"),
         ("experiments/27_few/README.md", "CrossQ is at 38 after {:.0f},000 steps"),
         ("experiments/27_few/peers.md", "38 of 45, after {:.1f} thousand simulator steps"),
     ],
