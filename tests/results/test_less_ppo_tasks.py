@@ -753,8 +753,8 @@ def test_the_table_of_longer_runs_of_ppo_for_hardware_is_that_of_its_runs():
     )
     text = f"It takes {twenty.mean():.1f} M steps to 20"
     assert f"{text} (five seeds, the soonest {twenty.min():.1f})." in page
-    text = f"takes {twenty.mean():.1f} M steps to 20, and with a PPO of few robots, not tuned on"
-    assert f"{text} this task, three of nine take 14 to 19." in results
+    text = f"takes {twenty.mean():.1f} M steps to 20; of nine runs of PPO with few robots, not"
+    assert f"{text} tuned on this task, three get there, after 14 to 19." in results
     assert "three of nine runs, with 512 and 1024 robots, take 14 to 19" in page
 
 
