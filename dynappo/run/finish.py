@@ -48,12 +48,19 @@ def finish(
     policy_file.save(workdir / "policy.npz", params, config, program.robot, seed, *far)
     seeds = f" x {config.run.num_seeds} seeds" if config.run.num_seeds > 1 else ""
     robots = f"{config.robot}: {config.rollout.num_envs} robots"
-    title = (robots if config.robot else workdir.resolve().name) + seeds
+    copies = f"{config.env or workdir.resolve().name}: {config.rollout.num_envs} copies"
+    title = (robots if config.robot else copies) + seeds
     problem = learning_curves.draw(metrics, workdir / "curves.png", title)
     summary["curves"] = problem or str(workdir / "curves.png")
     if evaluation_seconds is not None:  # of all runs of a program at once
         summary["evaluation_seconds"] = evaluation_seconds
-    began = time.perf_counter()
+    if len(run.origins) > 1:  # else all of it is in the summary itself
+        summary["origins"] = list(run.origins)
+    if (workdir / "restored_from").exists():
+        text = (workdir / "restored_from").read_bytes().decode(errors="replace")
+        summary["restored_from"] = ", ".join(text.split("\n")).strip(", ")
+    files.write_json(workdir / "summary.json", summary)  # a film may take longer than all of this
+    film, began = workdir / "video.mp4", time.perf_counter()
     if seconds := config.run.video_seconds:
         try:
             if config.robot:
@@ -61,21 +68,18 @@ def finish(
                 task = config.task
                 tour = render.tour(seconds, (task.command_x, task.command_y, task.command_yaw))
                 episode = render.simulate(program.robot, config, act, tour, seconds)
-                problem = render.film(program.robot, episode, workdir / "video.mp4")
+                problem = render.film(program.robot, episode, film)
             else:
                 problem = _film_of_task(config, workdir)
         except (FloatingPointError, ConfigError) as error:  # the run itself has ended well
             problem, summary["playable"] = f"no video: {error}", False
         except OSError as error:  # a full disk
             problem = f"no video: {error}"
-        summary["video"] = problem or str(workdir / "video.mp4")
+        summary["video"] = problem or str(film)
         summary["video_seconds"] = time.perf_counter() - began
-    if len(run.origins) > 1:  # else all of it is in the summary itself
-        summary["origins"] = list(run.origins)
-    if (workdir / "restored_from").exists():
-        text = (workdir / "restored_from").read_bytes().decode(errors="replace")
-        summary["restored_from"] = ", ".join(text.split("\n")).strip(", ")
-    files.write_json(workdir / "summary.json", summary)
+        files.write_json(workdir / "summary.json", summary)
+    elif film.exists():
+        say(f"{film} is of an earlier policy; run.video_seconds films this one")
     shown = config, workdir, summary
     if config.run.tensorboard:
         log.attempt(

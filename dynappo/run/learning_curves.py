@@ -22,7 +22,7 @@ LEVEL = 0.95
 BLUE, GREY = "#1f4e79", "0.45"
 MOST_NAMED = 10  # seeds with a label of their own
 WIDEST = 9  # characters of a number
-NUMBERS = f"numbers: last {log.RETURN_ROWS} iterations"
+NUMBERS = "numbers: last {} iterations"
 LINES = "thin: each seed    thick: their mean    band: its 95 % t interval    "
 NO_PICTURE = "no curves.png: matplotlib is not installed; "
 
@@ -138,7 +138,8 @@ def _labels(axes, panel: Panel, values, named: bool) -> None:
     ends = log.at_the_end(values)
     texts = {_written(panel, ends.mean()): ends.mean()}
     if named:
-        said = LINES * (ends.size > 1) + NUMBERS
+        last = NUMBERS.format(min(len(values), log.RETURN_ROWS))
+        said = LINES * (ends.size > 1) + last
         axes.set_title(said, loc="right", fontsize=9.5, color=GREY, pad=8)
     if named and ends.size > 1:
         texts = {f"mean {text}": end for text, end in texts.items()}

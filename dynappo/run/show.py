@@ -11,12 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from dynappo import config as config_lib
 from dynappo import schedule
 from dynappo.config import files, shell, terms
 from dynappo.policy import walks
 from dynappo.program import build, devices, memory
 from dynappo.program.build import Program
-from dynappo.run import blowups
+from dynappo.run import blowups, log
 from dynappo.run.training import Callbacks
 
 # by engine: how long it takes, and what for (experiments/03_speed; README)
@@ -270,7 +271,9 @@ def summary(out, config, workdir: Path, summary: dict[str, Any]) -> None:
 
     took = "not known" if summary["seconds"] is None else f"{summary['seconds']:.1f} s"
     rows = {
-        "return (last 10 iterations)": mean(summary["return"]),
+        f"return (last {min(config.run.num_iterations, log.RETURN_ROWS)} iterations)": mean(
+            summary["return"]
+        ),
         "best return": mean(summary["return_max"]),
         "simulator steps": f"{count(summary['sim_steps'])} on {devices.ENGINES[summary['impl']]}",
         "training": f"{took}, after {summary['compile_seconds']:.0f} s of set-up",
@@ -335,8 +338,27 @@ def summary(out, config, workdir: Path, summary: dict[str, Any]) -> None:
     same = not task.terms and (task.terrain, task.observation, task.history) == ("flat", "full", 1)
     if small and same:
         cpu = devices.local(config.run.device).platform == "cpu"
-        variant, where = (":laptop", "made for a CPU") if cpu and short else ("", "on a GPU")
-        say(f"next: {shell.line('train', f'--config={config.robot}{variant}')}  ({where})")
+        say(_next(config, workdir, cpu and short))
+
+
+def _next(config, workdir: Path, on_cpu: bool) -> str:
+    """The line with the command for a larger run: a short `:laptop` goes on, any other is a new one."""
+    name, where = config.robot + ":laptop" * on_cpu, "made for a CPU" if on_cpu else "on a GPU"
+    with contextlib.suppress(config_lib.ConfigError):  # a robot without a config of its name
+        larger = config_lib.validate(config_lib.load(name))
+        if on_cpu and all(config[one] == larger[one] for one in config if one != "run"):
+            words = (
+                f"--workdir={workdir}",
+                f"--config.run.num_iterations={larger.run.num_iterations}",
+            )
+            return f"next: {shell.line('train', *words)}  (goes on with this one)"
+    folder = free = Path("runs") / name.replace(":", "-")
+    for number in itertools.count(2):
+        if not free.exists():
+            break
+        free = folder.with_name(f"{folder.name}-{number}")
+    words = [f"--config={name}", *[f"--workdir={free}"] * (free != folder)]
+    return f"next: {shell.line('train', *words)}  ({where})"
 
 
 def how_to_see(config, workdir: Path, summary: dict[str, Any]) -> str:

@@ -207,6 +207,8 @@ def afterwards(command: Command) -> str:
     if not command.sweep:
         if not (saved := workdir_lib.saved(command.workdir)):
             return "there is no checkpoint yet, the same command starts anew"
+        if saved[0] >= command.config.run.num_iterations:
+            return "all iterations are done, the same command does what is left"
         goes_on = goes_on.format(f"iteration {saved[0]}")
     return goes_on.replace("command", "command without --fresh") if command.fresh else goes_on
 

@@ -6,6 +6,7 @@ import time
 from types import SimpleNamespace
 
 import jax
+import ml_collections
 import numpy as np
 import pytest
 import workdirs
@@ -150,6 +151,16 @@ def test_there_is_a_film_or_the_reason(program, whole, tmp_path, monkeypatch):
         assert 0.05 < summary["video_seconds"] < 60 and "evaluation_seconds" not in summary
         assert summary["curves"] == str(tmp_path / "curves.png") and "playable" not in summary
 
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(render, "film", interrupted)
+    (tmp_path / "summary.json").unlink()
+    with pytest.raises(KeyboardInterrupt):
+        finish.finish(run, program(), whole.state, {"return": np.array(40.0)})
+    kept = json.loads((tmp_path / "summary.json").read_text())
+    assert kept["evaluation"] == {"return": 40.0} and "video" not in kept
+
     def full(*_):
         raise OSError("cannot write video.mp4 (No space left on device)")
 
@@ -169,6 +180,38 @@ def test_there_is_a_film_or_the_reason(program, whole, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     summary = finish.finish(run, program(), whole.state, {})
     assert summary["curves"].endswith(shell.install("video"))
+
+
+@pytest.mark.parametrize(
+    ("robot", "env", "title"),
+    [
+        ("go1", "", "go1: {} robots"),
+        ("", "brax:hopper", "brax:hopper: {} copies"),
+        ("", "", "my_run: {} copies"),
+    ],
+)
+def test_the_curves_say_of_what_they_are(robot, env, title, program, whole, tmp_path, monkeypatch):
+    """An environment of one's own has no name but its folder's."""
+    config, titles = ml_collections.ConfigDict(workdirs.config(run__video_seconds=0)), []
+    config.robot, config.env = robot, env
+    (tmp_path / "my_run").mkdir()
+    monkeypatch.setattr(
+        finish.learning_curves, "draw", lambda metrics, path, title: titles.append(title) or ""
+    )
+    run = workdirs.open_run(config, tmp_path / "my_run", whole.metrics)
+    finish.finish(run, program(), whole.state, {})
+    assert titles == [title.format(config.rollout.num_envs)]
+
+
+def test_a_film_of_an_earlier_policy_is_told(program, whole, tmp_path):
+    said, film = [], tmp_path / "video.mp4"
+    run = workdirs.open_run(workdirs.config(run__video_seconds=0), tmp_path, whole.metrics)
+    finish.finish(run, program(), whole.state, {}, said.append)
+    assert said == []
+    film.touch()
+    summary = finish.finish(run, program(), whole.state, {}, said.append)
+    assert said == [f"{film} is of an earlier policy; run.video_seconds films this one"]
+    assert "video" not in summary
 
 
 # ---- in the logs too

@@ -127,6 +127,12 @@ def test_of_one_seed_its_line_alone_is_drawn(two_dimensional):
     np.testing.assert_array_equal(lines(axes)["mean"][:, 1], returns)
 
 
+@pytest.mark.parametrize(("iterations", "last"), [(4, 4), (40, 10)])
+def test_numbers_are_said_to_be_of_as_many_iterations_as_there_are(iterations, last):
+    axes = learning_curves.figure(run(seeds=1, iterations=iterations)).axes[0]
+    assert axes.get_title("right") == f"numbers: last {last} iterations"
+
+
 def test_what_a_run_lacks_is_left_out():
     """Plain PPO has no model; a run in which no episode ended has no return to show."""
     metrics = run(seeds=2)

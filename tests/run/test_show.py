@@ -6,6 +6,7 @@ import re
 import shlex
 from types import SimpleNamespace
 
+import ml_collections
 import numpy as np
 import pytest
 from answers import ROOT
@@ -298,18 +299,47 @@ def test_the_last_table_has_the_numbers_and_what_to_do_next(name):
 
 
 @pytest.mark.parametrize(
-    ("platform", "iterations", "said"),
+    ("platform", "name", "iterations", "there", "said"),
     [
-        ("cpu", 20, ":laptop  (made for a CPU)"),
-        ("cpu", 400, "  (on a GPU)"),
-        ("gpu", 20, "  (on a GPU)"),
+        (
+            *("cpu", "go1:laptop", 20, ["go1-laptop"]),
+            "--workdir=runs/x --config.run.num_iterations=400  (goes on with this one)",
+        ),
+        ("cpu", "go1:quick", 20, [], "--config=go1:laptop  (made for a CPU)"),
+        (
+            *("cpu", "go1:quick", 20, ["go1-laptop", "go1-laptop-2"]),
+            "--config=go1:laptop --workdir=runs/go1-laptop-3  (made for a CPU)",
+        ),
+        ("cpu", "go1:laptop", 400, [], "--config=go1  (on a GPU)"),
+        ("gpu", "go1:laptop", 20, [], "--config=go1  (on a GPU)"),
+        ("gpu", "go1:laptop", 20, ["go1"], "--config=go1 --workdir=runs/go1-2  (on a GPU)"),
     ],
 )
-def test_the_next_run_is_one_for_this_machine(platform, iterations, said, monkeypatch):
+def test_the_next_run_is_one_for_this_machine_and_is_not_refused(
+    platform, name, iterations, there, said, monkeypatch, tmp_path
+):
+    """A short `:laptop` goes on; a new run has a folder that is free."""
+    monkeypatch.chdir(tmp_path)
+    for folder in there:
+        pathlib.Path("runs", folder).mkdir(parents=True)
     monkeypatch.setattr(show.devices, "local", lambda _: SimpleNamespace(platform=platform))
-    text, run = io.StringIO(), config("go1:laptop", num_iterations=iterations)
+    text, run = io.StringIO(), config(name, num_iterations=iterations)
     show.summary(Console(file=text, width=200), run, pathlib.Path("runs/x"), SUMMARY)
-    assert f"train --config=go1{said}\n" in text.getvalue()
+    assert f" train {said}\n" in text.getvalue()
+
+
+def test_a_robot_without_a_config_of_its_name_has_a_next_run(monkeypatch):
+    monkeypatch.setattr(show.devices, "local", lambda _: SimpleNamespace(platform="cpu"))
+    text, run = io.StringIO(), ml_collections.ConfigDict(config("go1:quick", num_iterations=20))
+    run.robot = "nobody"
+    show.summary(Console(file=text, width=200), run, pathlib.Path("runs/x"), SUMMARY)
+    assert " train --config=nobody:laptop  (made for a CPU)\n" in text.getvalue()
+
+
+def test_of_a_short_run_the_return_is_of_all_its_iterations():
+    text, run = io.StringIO(), config("go1:quick", num_iterations=4)
+    show.summary(Console(file=text, width=200), run, pathlib.Path("runs/x"), SUMMARY)
+    assert "return (last 4 iterations)" in text.getvalue()
 
 
 def test_the_pace_of_a_log_is_no_simulators(monkeypatch):

@@ -77,7 +77,7 @@ def test_a_first_run_on_the_go1(tmp_path, monkeypatch):
     for words in (
         "dynappo trains go1: 16 robots, rollouts of 4 rows, the model writes 1 of them (0 to 1 over ",
         "iteration    4  return",
-        "return (last 10 iterations)",
+        "return (last 4 iterations)",
         f"see it: {shell_lib.command_line()} play {workdir} --out=walk.html",
     ):
         assert words in done.stdout, done.stdout
@@ -331,9 +331,12 @@ def finished(monkeypatch, when):
     [
         (
             "in the last iteration",
-            "saved at iteration 4 and stopped; the same command goes on from iteration 4",
+            "saved at iteration 4 and stopped; all iterations are done, the same command does what is left",
         ),
-        ("while it is evaluated", "stopped; the same command goes on from iteration 4"),
+        (
+            "while it is evaluated",
+            "stopped; all iterations are done, the same command does what is left",
+        ),
     ],
 )
 def test_ctrl_c_at_the_end_of_a_run_is_one_line_too(when, line, monkeypatch, capsys, tmp_path):
