@@ -347,10 +347,9 @@ def _next(config, workdir: Path, on_cpu: bool) -> str:
     with contextlib.suppress(config_lib.ConfigError):  # a robot without a config of its name
         larger = config_lib.validate(config_lib.load(name))
         if on_cpu and all(config[one] == larger[one] for one in config if one != "run"):
-            words = (
-                f"--workdir={workdir}",
-                f"--config.run.num_iterations={larger.run.num_iterations}",
-            )
+            chunks = -(-larger.run.num_iterations // config.run.log_every)
+            further = f"--config.run.num_iterations={chunks * config.run.log_every}"
+            words = f"--workdir={workdir}", further
             return f"next: {shell.line('train', *words)}  (goes on with this one)"
     folder = free = Path("runs") / name.replace(":", "-")
     for number in itertools.count(2):

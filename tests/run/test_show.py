@@ -328,6 +328,13 @@ def test_the_next_run_is_one_for_this_machine_and_is_not_refused(
     assert f" train {said}\n" in text.getvalue()
 
 
+def test_a_longer_run_has_whole_chunks(monkeypatch):
+    monkeypatch.setattr(show.devices, "local", lambda _: SimpleNamespace(platform="cpu"))
+    text, run = io.StringIO(), config("go1:laptop", num_iterations=21, log_every=7)
+    show.summary(Console(file=text, width=200), run, pathlib.Path("runs/x"), SUMMARY)
+    assert " train --workdir=runs/x --config.run.num_iterations=406 " in text.getvalue()
+
+
 def test_a_robot_without_a_config_of_its_name_has_a_next_run(monkeypatch):
     monkeypatch.setattr(show.devices, "local", lambda _: SimpleNamespace(platform="cpu"))
     text, run = io.StringIO(), ml_collections.ConfigDict(config("go1:quick", num_iterations=20))
