@@ -16,7 +16,7 @@ from xml.etree import ElementTree
 import mujoco
 import numpy as np
 
-from dynappo.config import ConfigError
+from dynappo.config import ConfigError, versions
 from dynappo.description import complete, faults, mjcf, robot_contract
 
 MESHES = {".obj", ".stl", ".msh"}  # that MuJoCo reads
@@ -468,13 +468,14 @@ def _servo(model: mujoco.MjModel, a: int) -> tuple[float, float]:
 
 def licence(xml: Path) -> tuple[str, str]:
     """`(where, text)` of the licence: a file beside the robot's, or in a folder above up to that of its
-    package or repository, by its path from the robot's; else comments in it."""
+    package or repository, by its path from the robot's; else comments in it. Of a robot in a clone of dynappo
+    ours is not."""
     folders = [xml.resolve().parent, *xml.resolve().parents[1 : UPWARD + 1]]
     tops = [i for i, folder in enumerate(folders) if any((folder / n).exists() for n in ROOTS)]
     for folder in folders[: tops[0] + 1 if tops else 1]:
         for pattern in LICENCES:
             for file in sorted(folder.glob(pattern)):
-                if file.is_file():
+                if file.is_file() and file != versions.ROOT / "LICENSE":
                     where = Path(os.path.relpath(file, folders[0])).as_posix()
                     return where, file.read_text(encoding="utf-8", errors="replace").strip()
     comments = re.findall(r"<!--(.*?)-->", xml.read_text(encoding="utf-8"), re.S)
@@ -484,11 +485,14 @@ def licence(xml: Path) -> tuple[str, str]:
 
 
 def origin(xml: Path) -> str:
-    """Where the file is from, in words: its sha256, and its checkout."""
+    """Where the file is from, in words: its sha256, and its checkout. A robot of one's own in a clone of
+    dynappo is not from there."""
     said = f"sha256 {hashlib.sha256(xml.read_bytes()).hexdigest()}"
     for folder in xml.resolve().parents:
         if not (folder / ".git").is_dir():
             continue
+        if folder == versions.ROOT:
+            break
         with contextlib.suppress(OSError, UnicodeDecodeError):
             config = (folder / ".git/config").read_text(encoding="utf-8")
             remote = re.search(r'\[remote "[^"]*"\][^\[]*?url\s*=\s*(\S+)', config)

@@ -18,11 +18,11 @@ from dynappo.config import files, versions
 def command_line() -> str:
     """What starts dynappo here: `dynappo` if the shell finds that of this Python, or its path if it was
     started so, else its full call."""
-    found, home = shutil.which("dynappo"), Path(sys.executable).parent
-    if found and Path(found).absolute().parent == home:
+    found, home = shutil.which("dynappo"), Path(sys.executable).parent.resolve()
+    if found and Path(found).parent.resolve() == home:  # also by a link, such as a .venv
         return "dynappo"
     started = Path(sys.argv[0] if sys.argv else "")
-    if started.stem == "dynappo" and started.is_file() and started.absolute().parent == home:
+    if started.stem == "dynappo" and started.is_file() and started.parent.resolve() == home:
         short = relative(str(started.absolute()))
         return quoted(str(started.absolute()) if short.startswith("..") else short)
     return f"{_python()} -m dynappo"

@@ -168,6 +168,7 @@ def table(player: episode_lib.Player, episode: dict) -> list[tuple[str, str]]:
 
     played, told = f"{m['seconds']:.1f} s", episode["command"]
     short = "fell in the first second" if until else "only after a second"
+    near = f"{'fell in the first' if until else 'only after'} {episode_lib.WAY} m"
     changing = ", every change of command counted" * bool((told != told[:1]).any())
     return [
         ("played", value("fall", f"{{:.1f}} s{until}, {played} in all", played)),
@@ -175,10 +176,7 @@ def table(player: episode_lib.Player, episode: dict) -> list[tuple[str, str]]:
         ("tracking error", value("tracking_error", f"{{:.2f}} m/s{until}{changing}", short)),
         ("yaw rate error", value("yaw_error", f"{{:.2f}} rad/s{until}", short)),
         ("fall", value("fall", "after {:.1f} s", "none")),
-        (
-            "cost of transport",
-            value("cost_of_transport", f"{{:.2f}}{until}", "did not go anywhere"),
-        ),
+        ("cost of transport", value("cost_of_transport", f"{{:.2f}}{until}", near)),
     ]
 
 

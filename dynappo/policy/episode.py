@@ -33,6 +33,7 @@ from dynappo.terrain.height_map import HeightMap
 
 UNEVEN = 0.02  # rad, about a degree
 STRIDE = 0.5  # s between points of the path walked, so that swaying adds no distance
+WAY = 0.5  # m; on a shorter one starting decides what it costs
 NEAR = 0.25  # of the base's height: a limb's end that is lower in the default pose is a foot
 PLAIN = [0.62, 0.66, 0.70, 1.0]  # colour of rough ground
 FILM_SECONDS = 12.0  # of the tour in a film
@@ -532,7 +533,7 @@ def measures(player: Player, episode: dict[str, np.ndarray]) -> dict[str, float 
         "yaw_error": root_mean_square([2]),
         "fall": float((fallen[0] + 1) * dt) if len(fallen) else None,
         "cost_of_transport": float(episode["work"][:last].sum() / (weight * distance))
-        if distance > 0.5
+        if distance > WAY
         else None,
     }
 

@@ -66,8 +66,10 @@ def locate(text: str, seed: int | None = None) -> Path:
     if not saved:
         lacks = "neither a policy.npz nor checkpoints/" if seed is None else "no checkpoints/"
         runs = [run.parent for run in sorted(path.glob("*/config.json"))]
-        then = f"; name one of the runs in it: {mjcf.listed(runs)}" if runs else ""
-        raise ConfigError(f"{text}: holds {lacks}{then}")
+        then = "expected a workdir of `dynappo train`" + ", or a policy.npz" * (seed is None)
+        if runs:
+            then = f"name one of the runs in it: {mjcf.listed(runs)}"
+        raise ConfigError(f"{text}: holds {lacks}; {then}")
     return folder / str(saved[0])
 
 

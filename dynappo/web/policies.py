@@ -150,7 +150,10 @@ def standing(offer: Offer) -> Chosen:
     try:
         config = config_lib.from_json(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise ConfigError(f"{offer.what}: holds neither a policy.npz nor checkpoints/") from None
+        raise ConfigError(
+            f"{offer.what}: holds neither a policy.npz nor checkpoints/; expected a workdir of "
+            "`dynappo train`, or a policy.npz"
+        ) from None
     if config.env:
         if offer.ground:
             raise ConfigError(f"--ground: {config.env} has a ground of its own")

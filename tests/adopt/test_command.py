@@ -15,7 +15,7 @@ from answers import mistake, refused, shell, status
 
 from dynappo import config as config_lib
 from dynappo.adopt import command, source
-from dynappo.config import files
+from dynappo.config import files, versions
 from dynappo.description import motors
 from dynappo.description import robot as robot_lib
 from dynappo.physics.warp import scope
@@ -455,6 +455,23 @@ def test_a_licence_is_found_up_to_the_package_or_in_the_file(tmp_path):
     assert source.licence(file) == ("", "")
 
 
+@pytest.mark.parametrize("folder", [".", "mine/spider"])
+def test_in_a_clone_our_licence_is_not_the_robots(folder, tmp_path, monkeypatch):
+    """Whoever works in one would publish their robot under it; one of their own counts, beside ours, too."""
+    ours = tmp_path / "clone"
+    (ours / ".git").mkdir(parents=True)
+    (ours / "LICENSE").write_text("Apache-2.0\n")
+    (ours / folder).mkdir(parents=True, exist_ok=True)
+    monkeypatch.chdir(ours)
+    file = Path(folder) / "toy.xml"
+    file.write_text("<mujoco/>")
+    assert source.licence(file)[1] == "Apache-2.0"  # another repository's
+    monkeypatch.setattr(versions, "ROOT", ours)
+    assert source.licence(file) == ("", "")
+    (ours / "LICENSE.spider").write_text("BSD\n")
+    assert source.licence(file)[1] == "BSD"
+
+
 @pytest.mark.parametrize("file", ["my--robot.xml", "my---robot.xml", 'tri"""q.xml', "b\\x.urdf"])
 def test_any_file_name_and_joint_name_can_be_written(file, tmp_path, monkeypatch):
     """In a comment of XML, a docstring and the patterns of a config."""
@@ -485,7 +502,7 @@ def test_what_is_no_scene_beside_the_robot_is_left_alone(tmp_path, monkeypatch, 
     assert "home: no keyframe; 4 legs bent" in capsys.readouterr().out
 
 
-def test_where_a_file_is_from_is_read_from_its_checkout(tmp_path):
+def test_where_a_file_is_from_is_read_from_its_checkout(tmp_path, monkeypatch):
     file = tmp_path / "robots/toy.xml"
     file.parent.mkdir()
     file.write_text("<mujoco/>")
@@ -500,6 +517,10 @@ def test_where_a_file_is_from_is_read_from_its_checkout(tmp_path):
     assert source.origin(file) == expected
     (git / "HEAD").write_text("cd34\n")
     assert source.origin(file) == expected.replace("ab12", "cd34")
+    monkeypatch.setattr(
+        source.versions, "ROOT", tmp_path
+    )  # a clone of dynappo: not where it is from
+    assert source.origin(file) == only
 
 
 def test_looks_that_are_not_there_are_left_out(tmp_path):

@@ -34,6 +34,27 @@ def test_the_program_is_one_word_where_the_shell_finds_that_of_this_python(tmp_p
     assert shell.command_line() == os.path.join(tmp_path.name, "dynappo")
 
 
+@pytest.mark.parametrize("path", ["found", "started"])
+def test_the_program_of_this_python_is_known_by_a_link_to_its_environment(
+    path, tmp_path, monkeypatch
+):
+    """A worktree's .venv, whose scripts start the Python of the folder behind it."""
+    (tmp_path / "real" / "bin").mkdir(parents=True)
+    (tmp_path / "real" / "bin" / "dynappo").write_text("#!/bin/sh")
+    (tmp_path / "real" / "bin" / "dynappo").chmod(0o755)
+    (tmp_path / "real" / "bin" / "python").symlink_to(sys.executable)  # as in a venv
+    (tmp_path / ".venv").symlink_to("real")
+    monkeypatch.setattr(sys, "executable", str(tmp_path / "real" / "bin" / "python"))
+    monkeypatch.chdir(tmp_path)
+    if path == "found":
+        monkeypatch.setenv("PATH", str(tmp_path / ".venv" / "bin"))
+        assert shell.command_line() == "dynappo"
+        return
+    monkeypatch.setenv("PATH", os.defpath)
+    monkeypatch.setattr(sys, "argv", [".venv/bin/dynappo", "play"])
+    assert shell.command_line() == ".venv/bin/dynappo"
+
+
 @pytest.mark.parametrize("folder", [ROOT, ROOT / "configs", Path("/")])
 def test_what_is_told_can_be_run_from_every_folder(folder, monkeypatch):
     """The line is given to a real shell."""

@@ -132,6 +132,11 @@ def test_after_a_fall_every_number_says_that_it_is_until_then(player):
         fell["played"].startswith("0.5 s until")
         and fell["tracking error"] == "fell in the first second"
     )
+    assert fell["distance"] == "0.2 m until the fall"  # so it did go somewhere
+    assert fell["cost of transport"] == "fell in the first 0.5 m"
+    rows["fell"][:], rows["qpos"] = False, 0.1 * qpos
+    slow = dict(play_command.table(player, rows))
+    assert (slow["distance"], slow["cost of transport"]) == ("0.2 m", "only after 0.5 m")
 
 
 def test_zero_stands_and_random_follows_its_seed(tmp_path, monkeypatch):
@@ -201,6 +206,11 @@ def test_a_full_disk_is_no_mistake_of_the_command(saved, tmp_path, monkeypatch, 
 MISTAKES = {  # flags, what the line must say
     "nothing": ([], "nothing to play; name a workdir"),
     "unknown": (["wlk"], "wlk: no such file or folder; expected a workdir"),
+    "a folder of nothing": (
+        ["taken.html"],
+        "taken.html: holds neither a policy.npz nor checkpoints/; expected a workdir of `dynappo train`, or "
+        "a policy.npz",
+    ),
     "unknown flag": (["go1", "--speed=3"], "--speed=3: no such flag"),
     "two policies": (["go1", "go2"], "go2: expected one NAME_OR_DIR, and flags"),
     "policy": (["go1", "--policy=best"], "--policy='best': expected zero or random"),

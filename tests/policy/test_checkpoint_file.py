@@ -127,7 +127,7 @@ def test_a_seed_that_is_not_there_is_one_line(tmp_path):
     (tmp_path / "young").mkdir()
     save(tmp_path / "young" / "policy.npz")
     line = refused(policy_source.load, str(tmp_path / "young"), 0)
-    assert line == f"{tmp_path}/young: holds no checkpoints/"
+    assert line == f"{tmp_path}/young: holds no checkpoints/; expected a workdir of `dynappo train`"
     about = several / "checkpoints" / "10" / "about" / "metadata"
     text = json.loads(about.read_text())
     for best in (3, -1, "1", True, 1e9):

@@ -80,7 +80,11 @@ def test_a_newer_policy_is_seen_and_the_same_one_is_not(run, monkeypatch):
         (lambda run: run / "nothing", "no such file or folder"),
         (
             lambda run: (run / "config.json").unlink() or run,
-            "neither a policy.npz nor checkpoints/",
+            "neither a policy.npz nor checkpoints/; expected a workdir of `dynappo train`, or a policy.npz",
+        ),
+        (
+            lambda run: (run / "config.json").unlink() or (run / "checkpoints").mkdir() or run,
+            "neither a policy.npz nor checkpoints/; expected a workdir of `dynappo train`, or a policy.npz",
         ),
         (lambda run: (run / "config.json").write_text("{]") and run, "not the JSON of a config"),
     ],
