@@ -21,6 +21,7 @@ from typing import Any
 
 from dynappo.config import ConfigError, files, shell
 from dynappo.config import flags as flags_lib
+from dynappo.description import robot as robot_lib
 from dynappo.description.robot import Robot
 from dynappo.evaluate import (
     changes,
@@ -67,7 +68,6 @@ UNITS = {
     "fell_at": "s",
 }
 RESULTS = "evaluation.json", "stress.json", "crossing.json"
-OF_ONE = "policy", "policy_sha256", "robot_xml"  # equal in results that may replace each other
 STRESS_UNITS = {name: UNITS[name] for name in ("tracking_error", "yaw_error")}
 FEW_CHANGES = 48  # with --fast
 MAX_EPISODES = 10**6  # of which each is a robot in memory
@@ -81,7 +81,7 @@ or the name of a robot with a bundled policy
   python -m dynappo.evaluate go1_deploy --stress
   python -m dynappo.evaluate runs/rough --crossing
   python -m dynappo.evaluate runs/go1 --randomize --episodes=200 --out=hard
-  python -m dynappo.evaluate runs/seeds --run-seed=3 --out=third
+  python -m dynappo.evaluate runs/seeds --run-seed=3
   python -m dynappo.evaluate go1 --fast --robot-xml=other/scene.xml
   python -m dynappo.evaluate go1 --record=example.npz --seconds=80 --noise=0.2
 with --robot-xml the task's episodes need a file that keeps the rules of robots/README.md; --fast does not
@@ -121,7 +121,8 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
         "--out",
         metavar="DIR",
         type=flags_lib.path,
-        help="folder for the results; default: WORKDIR/evaluation, or evaluation-NAME",
+        help="folder for the results; default: WORKDIR/evaluation (with --run-seed=K: evaluation-seed-K), "
+        "or evaluation-NAME",
     )
     flag("--command", nargs="?", const="0.5,0,0", help=argparse.SUPPRESS)  # which is `play`'s
     flags = flags_lib.read(parser, argv)
@@ -190,14 +191,21 @@ def _check_record(flags) -> None:
     flags.noise = noise
 
 
-def folder(what: str, path: Path) -> Path:
-    """The default folder for the evaluation of `what`, found at `path`."""
-    if what in files.bundled():
-        return Path(f"evaluation-{what}")
-    workdir = path.parent.parent if path.is_dir() else path.parent
-    if any((workdir / name).is_file() for name in ("config.json", "sweep.json")):
-        return workdir / "evaluation"
-    return Path(f"evaluation-{path.stem}")
+def workdir(what: str, path: Path) -> Path | None:
+    """The folder of the run or sweep that `what`, found at `path`, is of; else None."""
+    found = path.parent.parent if path.is_dir() else path.parent
+    written = any((found / name).is_file() for name in ("config.json", "sweep.json"))
+    return found if written and what not in files.bundled() else None
+
+
+def folder(what: str, path: Path, seed: int | None = None) -> Path:
+    """The default folder for the evaluation of `what`, found at `path`, and of `--run-seed`: a seed's results
+    replace no other's."""
+    of_seed = "" if seed is None else f"-seed-{seed}"
+    run = workdir(what, path)
+    if run is not None:
+        return run / f"evaluation{of_seed}"
+    return Path(f"evaluation-{what if what in files.bundled() else path.stem}{of_seed}")
 
 
 def check_folder(out: Path) -> None:
@@ -222,12 +230,23 @@ def rough_note(policy: Policy, flags) -> str:
     return f"{told}--crossing tells which tiles it crosses"
 
 
-def others(out: Path, about: dict[str, Any]) -> dict[str, Any] | None:
+def of_one(before: dict[str, Any], about: dict[str, Any]) -> bool:
+    """Whether two results are of one policy and one robot. Names have paths as they were typed, which depend
+    on the folder one is in: the policy's counts only where neither has a hash, the robot's where not both."""
+    hashed = "policy_sha256" in before or "policy_sha256" in about
+    model = "robot_sha256" in before and "robot_sha256" in about
+    names = "policy_sha256" if hashed else "policy", "robot_sha256" if model else "robot_xml"
+    return all(before.get(name) == about.get(name) for name in names)
+
+
+def others(
+    out: Path, about: dict[str, Any], names: tuple[str, ...] = RESULTS
+) -> dict[str, Any] | None:
     """The first results in a folder that are of another policy than `about`, or in another robot's file."""
-    for name in RESULTS:
+    for name in names:
         with contextlib.suppress(OSError, ValueError, TypeError, KeyError, AttributeError):
             before = json.loads((out / name).read_bytes())
-            if before["policy"] and any(before.get(n) != about.get(n) for n in OF_ONE):
+            if before["policy"] and not of_one(before, about):
                 return before
     return None
 
@@ -235,14 +254,18 @@ def others(out: Path, about: dict[str, Any]) -> dict[str, Any] | None:
 def settle(flags, path: Path, about: dict[str, Any]) -> tuple[Path, str]:
     """`(folder, note)` of the results. Where another policy has the default folder they go beside it; in that
     of a run, whose policy goes on, and in `--out` they replace the old ones, and the note says so."""
-    first = out = flags.out or folder(flags.what, path)
-    before = others(out, about)
+    first = out = flags.out or folder(flags.what, path, flags.run_seed)
+    written = "stress.json" if flags.stress else "crossing.json" if flags.crossing else RESULTS[0]
+    replaced = others(out, about, (written,))
+    before = replaced or others(out, about)
     if before is None:
         return out, ""
     whose = before["policy"] + f" in {before.get('robot_xml')}" * bool(before.get("robot_xml"))
     same_robot = before.get("robot_xml") == about.get("robot_xml")
-    if flags.out or (out.name == "evaluation" and same_robot):
-        return out, f"note: {out} holds results of {whose}; --out=DIR keeps both"
+    if flags.out or (same_robot and workdir(flags.what, path) is not None):
+        if replaced is None:
+            return out, f"note: {out} also holds results of {whose}; --out=DIR keeps them apart"
+        return out, f"note: replaces in {out} the results of {whose}; --out=DIR keeps both"
     numbers = itertools.count(2)
     while others(out, about) is not None:
         out = first.with_name(f"{first.name}-{next(numbers)}")
@@ -254,7 +277,7 @@ def kept_episodes(out: Path, about: dict[str, Any]) -> dict[str, Any] | None:
     They say which code they are of."""
     with contextlib.suppress(OSError, ValueError, TypeError, KeyError, AttributeError):
         before = json.loads((out / RESULTS[0]).read_bytes())
-        if before["episodes"] and all(before.get(n) == about.get(n) for n in OF_ONE):
+        if before["episodes"] and of_one(before, about):
             tables.episodes_text(before["episodes"])  # whether it can be shown
             tables.episodes_rows(before["episodes"])
             return {name: before[name] for name in ("commit", "mujoco")} | before["episodes"]
@@ -294,6 +317,7 @@ def run(flags) -> None:
     if flags.record:
         return _record(flags, player, named)
     about = {"robot": policy.robot, **episodes.measured(policy.params, named)}
+    about["robot_sha256"] = robot_lib.digest(player.model)[:16]  # a policy may be in another's body
     about |= {"robot_xml": flags.robot_xml} if flags.robot_xml else {}
     out, other_results = settle(flags, path, about)
     check_folder(out)

@@ -162,7 +162,7 @@ def run(
     metrics = jax.device_get(jax.jit(assess)(hyper, params, jax.random.key(seed)))
     numbers: dict[str, Any] = {k: float(v) if np.isfinite(v) else None for k, v in metrics.items()}
     # what walking is, is said of the task without noise
-    words = "" if randomize else walks.in_words(config, numbers)
+    words = "" if randomize else walks.in_words(config, numbers, number)
     numbers |= {"policy": words} if words else {}
     return {
         "episodes": number,

@@ -140,7 +140,7 @@ def _gait_title(row: dict[str, Any]) -> str:
     """Commanded and measured: speed, strides, duty factor."""
     formats = (
         ("fall", "fell after {:.1f} s"),
-        ("speed", "walks at {:.2f} m/s"),
+        ("speed", "moves at {:.2f} m/s"),
         ("stride_frequency", "{:.2f} strides/s"),
         ("duty_factor", "duty factor {:.2f}"),
     )

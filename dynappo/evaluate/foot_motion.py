@@ -26,6 +26,9 @@ import numpy as np
 from dynappo.policy import episode as episode_lib
 from dynappo.policy.episode import Player
 
+# of swings; the others are of all time, and of a robot that stands, too
+OF_STRIDES = frozenset("air_time stride_frequency clearance asymmetry".split())
+
 
 def at_ground(player: Player, data) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """`(contact, load, slide)` [F] of the last physics step in `data`, as it began.

@@ -190,7 +190,9 @@ def changes_lines(numbers: dict[str, Any]) -> list[str]:
         )
     for tour in numbers["tours"]:
         times = ", ".join(f"{t:.1f}" for t in tour["fell_at"][:5])
-        ends = f"fell after {times} s" if times else "no fall"
+        more = len(tour["fell_at"]) - 5
+        often = f", and {more} more time{'s' * (more > 1)}" if more > 0 else ""
+        ends = f"fell after {times} s{often}" if times else "no fall"
         lines.append(f"the tour of the {tour['tour']}, {tour['seconds']:g} s: {ends}")
     return lines
 

@@ -14,7 +14,8 @@ the time after the first second and before a fall:
 - `torque_share`: the share of its limit that the most loaded joint stays below for 99 % of the time;
   `joint_speed`: root mean square over joints (rad/s);
 - `tilt`: mean angle of the base from upright (rad); `height`: mean height of its frame (m);
-- how the feet move: `foot_motion.py`.
+- how the feet move: `foot_motion.py`; measures of strides are left out where there is no cost of transport,
+  as of a robot that stands and whose feet chatter.
 """
 
 from __future__ import annotations
@@ -154,6 +155,17 @@ def gait(player: Player, recordings: Iterable[dict[str, Any]]) -> dict[str, Any]
     return foot_motion.measures(player, [measured_rows(player, r) for r in recordings])
 
 
+def moved(
+    player: Player, recordings: list[dict[str, Any]], walks: list[dict[str, Any]]
+) -> dict[str, Any]:
+    """`measures` of `recordings` and `gait` of `walks`; who goes nowhere makes no strides."""
+    found, feet = measures(player, recordings), gait(player, walks)
+    if found["cost_of_transport"] is None:
+        for some in (feet, *feet["feet"].values()):
+            some |= dict.fromkeys(some.keys() & foot_motion.OF_STRIDES)
+    return found | feet
+
+
 def axes(policy: Policy, points: int = POINTS) -> dict[str, np.ndarray]:
     """The commands of the grid on each axis, over the range of training."""
     ranges = {"vx": policy.command_x, "vy": policy.command_y, "wz": policy.command_yaw}
@@ -201,19 +213,16 @@ def run(
         "seconds": seconds,
         "axes": {name: values.tolist() for name, values in grid.items()},
         "held": {name: held[name] for name in ("vy", "wz")},
-        "all": {"episodes": len(some), "falls": fallen}
-        | measures(player, some)
-        | gait(player, walks),
-        "standing": _row(player, stands[0]) | gait(player, stands) if stands else None,
+        "all": {"episodes": len(some), "falls": fallen} | moved(player, some, walks),
+        "standing": _told(stands[0]) | moved(player, stands, stands) if stands else None,
         "ahead": [
-            _row(player, found[command]) | gait(player, [found[command]]) for command in ahead
+            _told(r) | moved(player, [r], [r]) for r in (found[command] for command in ahead)
         ],
-        "commands": [_row(player, r) for r in some],
+        "commands": [_told(r) | measures(player, [r]) for r in some],
         "slow": slow.run(player),
     }
     return numbers, found
 
 
-def _row(player: Player, recording: dict[str, Any]) -> dict[str, Any]:
-    command, fall = recording["command"].tolist(), recording["fall"]
-    return {"command": command, "fall": fall} | measures(player, [recording])
+def _told(recording: dict[str, Any]) -> dict[str, Any]:
+    return {"command": recording["command"].tolist(), "fall": recording["fall"]}

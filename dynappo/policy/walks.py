@@ -34,6 +34,7 @@ MOST_FALLS = 0.01  # share of the episodes
 FALLS_OFTEN = 0.1  # that nobody calls almost walking
 MOST_ERRORS = 0.2, 0.25  # m/s, rad/s
 SLOW, FAST = 1 / 2, 1 / 5  # of the error of a robot that stands still: at most, and always enough
+FEW = 100  # episodes, below which words say how many: in fewer, 1 % is less than one
 ROUNDING = 1e-6  # of a share of episodes, a mean in float32
 SHARES = {2.25: 38 / 45, 1.5: 24 / 30}  # best possible return of a second -> share of it
 SHARE = 0.8  # of any other
@@ -211,15 +212,25 @@ def walking(config, evaluation: Mapping[str, Any]) -> int | None:
     return None if judged is None else int((~judged.low & ~judged.often).sum())
 
 
-def in_words(config, evaluation: Mapping[str, Any]) -> str:
+def in_words(config, evaluation: Mapping[str, Any], episodes: int | None = None) -> str:
     """What evaluated policies do, in words: walk, turn, fall, or lack; of several seeds, how many walk.
 
     A robot that does not walk yet is judged by the errors of one that stands still. Where no walk or no turn
-    is asked for, none is spoken of. "" where nothing can be said (`found`).
+    is asked for, none is spoken of. Of fewer than `FEW` `episodes` (of a seed; None: those of the run's own
+    evaluations) their number is said, as they tell little. "" where nothing can be said (`found`).
     """
     judged = found(config, evaluation)
     if judged is None:
         return ""
+    does, *lacks = _said(judged)
+    count = config.run.eval_envs if episodes is None else episodes
+    each = " each" * (len(judged.returns) > 1)
+    few = f" (of {count} episode{'s' * (count > 1)}{each})" if count < FEW else ""
+    return "; ".join([does + few, *lacks])
+
+
+def _said(judged: Found) -> list[str]:
+    """What evaluated policies do, and then what they lack."""
     returns, falls, errors, low, often, least, most, (speed, turn) = judged
     said = WALKS if speed else TURNS if turn else STANDS
     if len(returns) > 1:
@@ -228,16 +239,14 @@ def in_words(config, evaluation: Mapping[str, Any]) -> str:
         lacks = {f"errors > {limits}" if least is None else f"return < {least:g}": low.sum()}
         lacks |= {f"falls > {100 * MOST_FALLS:g} %": often.sum()}
         parts = [f"{what}: {count}" for what, count in lacks.items() if count]
-        return "; ".join(
-            [f"{(~low & ~often).sum()} of {len(returns)} seeds {said.several}", *parts]
-        )
+        return [f"{(~low & ~often).sum()} of {len(returns)} seeds {said.several}", *parts]
     (error, yaw), fallen = errors[:, 0], falls[0]
     if not np.isfinite(error):  # nobody stood for the first second
-        return "falls at once"
+        return ["falls at once"]
     if not low[0] and not often[0]:
         turns = ", turns" if yaw < 0.5 * turn else ", does not turn yet"
         turns = turns if speed and turn else ""
-        return f"{said.does}{turns}, {'seldom falls' if fallen > ROUNDING else 'does not fall'}"
+        return [f"{said.does}{turns}, {'seldom falls' if fallen > ROUNDING else 'does not fall'}"]
     does = said.fails
     if speed or turn:
         share, enough = (error / speed, most[0] / speed) if speed else (yaw / turn, most[1] / turn)
@@ -255,7 +264,7 @@ def in_words(config, evaluation: Mapping[str, Any]) -> str:
         ):
             lacks[f"{name} {_number(x, unit)} > {_number(m, unit)}"] = x > m * (1 + ROUNDING)
     lacks |= {f"falls {100 * fallen:.1f} % > {100 * MOST_FALLS:g} %": often[0]}
-    return "; ".join([does, *(what for what, true in lacks.items() if true)])
+    return [does, *(what for what, true in lacks.items() if true)]
 
 
 def _number(error: float, unit: str) -> str:

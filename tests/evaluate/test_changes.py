@@ -216,6 +216,14 @@ def test_falls_are_told_in_lines():
         "the tour of the film, 12 s: no fall",
         "the tour of the live page, 32 s: fell after 8.4, 24.5 s",
     ]
+    for falls, ends in (
+        (5, "4.0, 5.0 s"),
+        (6, "4.0, 5.0 s, and 1 more time"),
+        (31, "4.0, 5.0 s, and 26 more times"),
+    ):
+        tours[1]["fell_at"] = [float(t) for t in range(1, falls + 1)]
+        last = tables.changes_lines(about | {"fell": [], "tours": tours})[-1]
+        assert last == f"the tour of the live page, 32 s: fell after 1.0, 2.0, 3.0, {ends}"
 
 
 @pytest.mark.slow

@@ -149,9 +149,12 @@ def test_where_an_evaluation_goes(tmp_path):
         (tmp_path, tmp_path / "policy.npz", tmp_path / "evaluation"),
         (tmp_path, checkpoint, tmp_path / "evaluation"),
         ("go1", Path("robots/go1/policy.npz"), Path("evaluation-go1")),
+        ("go1", tmp_path / "policy.npz", Path("evaluation-go1")),  # whatever is beside it
         ("a/best.npz", Path("a/best.npz"), Path("evaluation-best")),
     ):
         assert evaluate_command.folder(str(what), path) == expected
+        of_seed = expected.with_name(f"{expected.name}-seed-2")
+        assert evaluate_command.folder(str(what), path, 2) == of_seed
 
 
 def results(out, name="evaluation.json", **entries):
@@ -163,7 +166,8 @@ def results(out, name="evaluation.json", **entries):
 def test_results_of_another_policy_or_robot_are_not_written_over(tmp_path, monkeypatch):
     """In a default folder; in that of a run, whose policy goes on, and in --out a note says so."""
     monkeypatch.chdir(tmp_path)
-    flags, path = SimpleNamespace(out=None, what="go1"), Path("robots/go1/policy.npz")
+    flags = SimpleNamespace(out=None, what="go1", run_seed=None, stress=False, crossing=False)
+    path = Path("robots/go1/policy.npz")
     about, first = dict(policy="robots/go1/policy.npz", policy_sha256="a"), Path("evaluation-go1")
     settle = evaluate_command.settle
     assert settle(flags, path, about) == (first, "")
@@ -178,16 +182,47 @@ def test_results_of_another_policy_or_robot_are_not_written_over(tmp_path, monke
     results(out, **other)
     assert settle(flags, path, other)[0] == out
     assert settle(flags, path, about | {"robot_xml": "x"})[0].name == "evaluation-go1-3"
-    flags = SimpleNamespace(out=out, what="go1")
-    expected = f"note: {out} holds results of {path} in go2.xml; --out=DIR keeps both"
+    flags.out = out
+    expected = f"note: replaces in {out} the results of {path} in go2.xml; --out=DIR keeps both"
     assert settle(flags, path, about) == (out, expected)
+    flags.stress = True  # which writes another file
+    expected = f"note: {out} also holds results of {path} in go2.xml; --out=DIR keeps them apart"
+    assert settle(flags, path, about) == (out, expected)
+    results(out, "stress.json", **about | {"policy_sha256": "b"})
+    assert settle(flags, path, about)[1].startswith("note: replaces in ")
     results(Path("run/evaluation"), **about)
     Path("run/config.json").touch()
-    flags = SimpleNamespace(out=None, what="run")
-    out, note = settle(flags, Path("run/policy.npz"), about | {"policy_sha256": "b"})
-    assert (str(out), note[-22:]) == ("run/evaluation", "; --out=DIR keeps both")
+    flags.out, flags.what, flags.stress = None, "run", False
+    later = about | {"policy_sha256": "b"}
+    out, note = settle(flags, Path("run/policy.npz"), later)
+    assert (str(out), note) == (
+        "run/evaluation",
+        f"note: replaces in run/evaluation the results of {path}; --out=DIR keeps both",
+    )
     out, _ = settle(flags, Path("run/policy.npz"), about | {"robot_xml": "go2.xml"})
     assert str(out) == "run/evaluation-2"
+    results(Path("run/evaluation-seed-1"), **about)
+    flags.run_seed = 1  # whose policy goes on, too
+    out, note = settle(flags, Path("run/policy.npz"), later)
+    assert str(out) == "run/evaluation-seed-1" and note.startswith("note: replaces in ")
+    flags.run_seed = 2
+    assert settle(flags, Path("run/policy.npz"), later) == (Path("run/evaluation-seed-2"), "")
+
+
+def test_a_policy_is_one_however_its_path_is_typed():
+    """By its hash; by its name where no results have one. Of results with none nothing is known."""
+    of_one, typed = evaluate_command.of_one, {"policy": "mine/runs/ci/policy.npz"}
+    here = {"policy": "runs/ci/policy.npz"}
+    assert of_one(here | {"policy_sha256": "a"}, typed | {"policy_sha256": "a"})
+    assert not of_one(here | {"policy_sha256": "a"}, here | {"policy_sha256": "b"})
+    assert of_one(here, here) and not of_one(here, typed)
+    assert not of_one(here, here | {"policy_sha256": "a"})
+    body = {"policy_sha256": "a", "robot_sha256": "b"}
+    assert of_one(here | body, typed | body | {"robot_xml": "there/a.xml"})
+    assert not of_one(here | body, here | body | {"robot_sha256": "c"})
+    assert of_one(here | body, typed | {"policy_sha256": "a"})  # an older result
+    xml = {"robot_xml": "a.xml"}
+    assert not of_one(here | {"policy_sha256": "a"}, typed | {"policy_sha256": "a"} | xml)
 
 
 def test_fast_keeps_the_episodes_of_the_same_policy(saved, tmp_path, monkeypatch, capsys):
@@ -196,7 +231,7 @@ def test_fast_keeps_the_episodes_of_the_same_policy(saved, tmp_path, monkeypatch
     of_task |= {"return": 33.25, "return_std": 1.5, "length": 987.0, "fall_rate": 0.2}
     policy = policy_file.load(saved)
     named = policy_source.named(str(saved), saved)
-    about = episodes.measured(policy.params, named) | {"commit": "old"}
+    about = episodes.measured(policy.params, f"from/elsewhere/{named}") | {"commit": "old"}
     results(tmp_path, **about, episodes=of_task)
     monkeypatch.setattr(trials, "run", lambda *_, **__: (toy_sweep.numbers(), []))
     monkeypatch.setattr(changes, "run", lambda *_: toy_sweep.changes())

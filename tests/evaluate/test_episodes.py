@@ -130,7 +130,9 @@ def test_the_policy_is_evaluated_on_its_task(policy, monkeypatch):
     assert episodes.run(policy)["episodes"] == default and got["randomize"] is False
     numbers = {"return": 41.0, "tracking_error": 0.1, "yaw_error": 0.1, "fall_rate": 0.02}
     monkeypatch.setattr(scores, "evaluate", lambda *_, **__: numbers)
-    assert episodes.run(policy)["policy"] == "almost walks; falls 2.0 % > 1 %"
+    assert episodes.run(policy, 200)["policy"] == "almost walks; falls 2.0 % > 1 %"
+    few = "almost walks (of 50 episodes); falls 2.0 % > 1 %"  # its run had 1000
+    assert episodes.run(policy, 50)["policy"] == few
     assert "policy" not in episodes.run(policy, randomize=True)
 
 

@@ -66,6 +66,8 @@ def test_the_bars_of_a_gait_are_the_contacts_of_its_last_two_seconds():
     titles = [panel.get_title("left") for panel in panels]
     assert "asked for 0.5 m/s" in titles[0] and "asked for 1 m/s" in titles[1]
     assert all("2.50 strides/s" in title and "duty factor 0.50" in title for title in titles)
+    # a robot that stands moves so, too
+    assert "moves at 0.50 m/s" in titles[0] and not any("walks" in title for title in titles)
 
 
 def test_no_pictures_without_matplotlib(tmp_path, monkeypatch):

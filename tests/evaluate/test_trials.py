@@ -218,6 +218,33 @@ def test_nothing_is_said_of_an_episode_that_ended_in_the_first_second(player):
 # ---- the grid
 
 
+def test_who_goes_nowhere_makes_no_strides(policy, player, monkeypatch):
+    """Feet that chatter where it stands, at 0.03 m/s: no strides just where there is no cost of transport."""
+    going = {0.5: 0.4, 1.0: 0.0}
+
+    def record(player, act, command, seconds):
+        return made_up(6, command=command, speed=going.get(command[0], 0.0))
+
+    monkeypatch.setattr(trials, "record", record)
+    monkeypatch.setattr(trials.slow, "run", lambda _: {})
+    strides = ("air_time", "stride_frequency", "clearance", "asymmetry")
+    for all_go in (False, True):
+        if all_go:
+            going[-1.0] = 0.4
+        numbers, recordings = trials.run(policy, points=3)
+        walks, stands = numbers["ahead"]
+        gone = {"all": all_go, "walks": True, "stands": False, "standing": False}
+        for name, row in {**numbers, "walks": walks, "stands": stands}.items():
+            if name in gone:
+                assert (row["cost_of_transport"] is not None) == gone[name]
+                for some in (row, *row["feet"].values()):
+                    kept = {some[n] is not None for n in strides if n in some}
+                    assert kept == {gone[name]}, name
+                    assert some["duty_factor"] > 0.3 and some["slip"] > 0
+        expected = trials.gait(player, [recordings[0.5, 0.0, 0.0]])
+        assert {n: walks[n] for n in expected} == expected
+
+
 def test_a_robot_that_stands_is_wrong_by_what_it_is_asked(policy):
     """Every command of the grid, and all together; it sways a little (0.03 m/s) on soft legs."""
     told = []

@@ -127,6 +127,24 @@ def test_the_words_know_the_robot_and_the_time():
     assert walks.in_words(valid(), {"return": 1.0}) == ""
 
 
+def test_of_few_episodes_their_number_is_said():
+    """Behind what it does, in each form; the run's own where none is given."""
+    config, words = valid(), "walks, turns, does not fall"
+    own = config_lib.load("go1:best")
+    good, bad = evaluation(42.0, 0.05, 0.05, 0.0), evaluation(26.0, 0.8, 0.57, 0.0)
+    for episodes, few in ((1, " (of 1 episode)"), (99, " (of 99 episodes)"), (100, ""), (1000, "")):
+        assert walks.in_words(config, good, episodes) == words + few
+        stands = f"stands, does not walk yet{few}; return 26.00 < 38"
+        assert walks.in_words(config, bad, episodes) == stands
+        own.run.eval_envs = episodes
+        assert walks.in_words(config_lib.validate(own), good) == words + few
+    seeds = evaluation([42.0, 26.0], [0.05, 0.8], [0.05, 0.57], [0.0, 0.0])
+    expected = "1 of 2 seeds walk (of 64 episodes each); return < 38: 1"
+    assert walks.in_words(config, seeds, 64) == expected
+    at_once = evaluation(-1.0, NAN, NAN, 1.0)
+    assert walks.in_words(config, at_once, 2) == "falls at once (of 2 episodes)"
+
+
 def test_nothing_is_said_of_the_first_second():
     """No error is measured in it; a robot that is evaluated for so long has not fallen at once."""
     go1 = config_lib.load("go1:best")

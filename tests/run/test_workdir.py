@@ -331,6 +331,7 @@ THEIRS = {  # what else is in the folder, what is said
     "policy.npz.part": None,
     "walk.html": None,  # of `play`, into the folder of the run
     "evaluation/evaluation.json": None,
+    "evaluation-seed-3/evaluation.json": None,
     "damaged-5/x": None,
 }
 

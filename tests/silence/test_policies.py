@@ -140,14 +140,14 @@ def test_evaluations_of_two_sweeps_and_of_two_policies_do_not_mix(inside):
         path = policy_source.locate(sweep)
         assert evaluate_command.folder(sweep, path) == Path(sweep) / "evaluation"
     flags, a, b = (
-        SimpleNamespace(out=inside),
+        SimpleNamespace(out=inside, stress=False, crossing=False),
         {"policy": "a/policy.npz"},
         {"policy": "b/policy.npz"},
     )
     assert evaluate_command.settle(flags, inside, a) == (inside, "")
     Path("evaluation.json").write_text(json.dumps(b))
     _, line = evaluate_command.settle(flags, inside, a)
-    assert line == f"note: {inside} holds results of b/policy.npz; --out=DIR keeps both"
+    assert line == f"note: replaces in {inside} the results of b/policy.npz; --out=DIR keeps both"
     assert evaluate_command.settle(flags, inside, b) == (inside, "")
 
 
