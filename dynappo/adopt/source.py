@@ -475,7 +475,7 @@ def licence(xml: Path) -> tuple[str, str]:
     for folder in folders[: tops[0] + 1 if tops else 1]:
         for pattern in LICENCES:
             for file in sorted(folder.glob(pattern)):
-                if file.is_file() and file != versions.ROOT / "LICENSE":
+                if file.is_file() and not _ours(folder, file):
                     where = Path(os.path.relpath(file, folders[0])).as_posix()
                     return where, file.read_text(encoding="utf-8", errors="replace").strip()
     comments = re.findall(r"<!--(.*?)-->", xml.read_text(encoding="utf-8"), re.S)
@@ -484,15 +484,24 @@ def licence(xml: Path) -> tuple[str, str]:
     return (f"comments in {xml.name}", "\n\n".join(said)) if said else ("", "")
 
 
+def _clone(folder: Path) -> bool:
+    """Whether a folder is the root of a clone of dynappo."""
+    return folder == versions.ROOT or (folder / "dynappo/algorithm.py").is_file()
+
+
+def _ours(folder: Path, file: Path) -> bool:
+    return file.name == "LICENSE" and _clone(folder)
+
+
 def origin(xml: Path) -> str:
     """Where the file is from, in words: its sha256, and its checkout. A robot of one's own in a clone of
     dynappo is not from there."""
     said = f"sha256 {hashlib.sha256(xml.read_bytes()).hexdigest()}"
     for folder in xml.resolve().parents:
+        if _clone(folder):
+            break
         if not (folder / ".git").is_dir():
             continue
-        if folder == versions.ROOT:
-            break
         with contextlib.suppress(OSError, UnicodeDecodeError):
             config = (folder / ".git/config").read_text(encoding="utf-8")
             remote = re.search(r'\[remote "[^"]*"\][^\[]*?url\s*=\s*(\S+)', config)

@@ -232,11 +232,18 @@ def rough_note(policy: Policy, flags) -> str:
 
 def of_one(before: dict[str, Any], about: dict[str, Any]) -> bool:
     """Whether two results are of one policy and one robot. Names have paths as they were typed, which depend
-    on the folder one is in: the policy's counts only where neither has a hash, the robot's where not both."""
+    on the folder one is in: the policy's counts only where neither has a hash."""
     hashed = "policy_sha256" in before or "policy_sha256" in about
-    model = "robot_sha256" in before and "robot_sha256" in about
-    names = "policy_sha256" if hashed else "policy", "robot_sha256" if model else "robot_xml"
-    return all(before.get(name) == about.get(name) for name in names)
+    name = "policy_sha256" if hashed else "policy"
+    return before.get(name) == about.get(name) and of_one_robot(before, about)
+
+
+def of_one_robot(before: dict[str, Any], about: dict[str, Any]) -> bool:
+    """By the hash of the model, which is of a version of MuJoCo; else by the file as it was typed."""
+    hashed = "robot_sha256" in before and "robot_sha256" in about
+    hashed = hashed and before.get("mujoco") == about.get("mujoco")
+    name = "robot_sha256" if hashed else "robot_xml"
+    return before.get(name) == about.get(name)
 
 
 def others(
@@ -261,8 +268,7 @@ def settle(flags, path: Path, about: dict[str, Any]) -> tuple[Path, str]:
     if before is None:
         return out, ""
     whose = before["policy"] + f" in {before.get('robot_xml')}" * bool(before.get("robot_xml"))
-    same_robot = before.get("robot_xml") == about.get("robot_xml")
-    if flags.out or (same_robot and workdir(flags.what, path) is not None):
+    if flags.out or (of_one_robot(before, about) and workdir(flags.what, path) is not None):
         if replaced is None:
             return out, f"note: {out} also holds results of {whose}; --out=DIR keeps them apart"
         return out, f"note: replaces in {out} the results of {whose}; --out=DIR keeps both"

@@ -38,6 +38,7 @@ SECONDS = 6.0  # of an episode
 POINTS = 5  # of a command's range
 SPEEDS = (0.5, 1.0)  # m/s ahead, at which the gait is looked at
 MIN_SPEED = 0.1  # m/s, from which on something is transported
+MIN_RATE = 0.1  # rad/s, from which on a robot turns
 FINE = "torque speed contact load slide centre up".split()  # of a physics step
 
 
@@ -158,9 +159,11 @@ def gait(player: Player, recordings: Iterable[dict[str, Any]]) -> dict[str, Any]
 def moved(
     player: Player, recordings: list[dict[str, Any]], walks: list[dict[str, Any]]
 ) -> dict[str, Any]:
-    """`measures` of `recordings` and `gait` of `walks`; who goes nowhere makes no strides."""
+    """`measures` of `recordings` and `gait` of `walks`; who neither goes nor turns makes no strides."""
     found, feet = measures(player, recordings), gait(player, walks)
-    if found["cost_of_transport"] is None:
+    rows = [measured_rows(player, r)["velocity"][:, 2] for r in recordings]
+    turns = np.mean([abs(rate.mean()) for rate in rows if len(rate)] or 0.0) > MIN_RATE
+    if found["cost_of_transport"] is None and not turns:
         for some in (feet, *feet["feet"].values()):
             some |= dict.fromkeys(some.keys() & foot_motion.OF_STRIDES)
     return found | feet

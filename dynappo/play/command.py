@@ -168,7 +168,7 @@ def table(player: episode_lib.Player, episode: dict) -> list[tuple[str, str]]:
 
     played, told = f"{m['seconds']:.1f} s", episode["command"]
     short = "fell in the first second" if until else "only after a second"
-    near = f"{'fell in the first' if until else 'only after'} {episode_lib.WAY} m"
+    near = f"went less than {episode_lib.WAY} m{until}"
     changing = ", every change of command counted" * bool((told != told[:1]).any())
     return [
         ("played", value("fall", f"{{:.1f}} s{until}, {played} in all", played)),

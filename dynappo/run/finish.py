@@ -78,8 +78,8 @@ def finish(
         summary["video"] = problem or str(film)
         summary["video_seconds"] = time.perf_counter() - began
         files.write_json(workdir / "summary.json", summary)
-    elif film.exists():
-        say(f"{film} is of an earlier policy; run.video_seconds films this one")
+    if film.exists() and summary.get("video") != str(film):
+        say(f"{film} is of an earlier end of this run")
     shown = config, workdir, summary
     if config.run.tensorboard:
         log.attempt(

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from ml_collections import config_dict
 
 from dynappo import config as config_lib
 from dynappo import schedule
@@ -342,15 +343,17 @@ def summary(out, config, workdir: Path, summary: dict[str, Any]) -> None:
 
 
 def _next(config, workdir: Path, on_cpu: bool) -> str:
-    """The line with the command for a larger run: a short `:laptop` goes on, any other is a new one."""
+    """The line with the command for a larger run: a shorter `:laptop` goes on, any other is a new one."""
     name, where = config.robot + ":laptop" * on_cpu, "made for a CPU" if on_cpu else "on a GPU"
-    with contextlib.suppress(config_lib.ConfigError):  # a robot without a config of its name
+    # a robot without a config of its name; fields of `run` that do not fit a longer one
+    with contextlib.suppress(config_lib.ConfigError):
         larger = config_lib.validate(config_lib.load(name))
-        if on_cpu and all(config[one] == larger[one] for one in config if one != "run"):
-            chunks = -(-larger.run.num_iterations // config.run.log_every)
-            further = f"--config.run.num_iterations={chunks * config.run.log_every}"
-            words = f"--workdir={workdir}", further
-            return f"next: {shell.line('train', *words)}  (goes on with this one)"
+        same = all(config[one] == larger[one] for one in config if one != "run")
+        if on_cpu and same and larger.run.num_iterations > config.run.num_iterations:
+            longer = {one: larger.run[one] for one in ("num_iterations", "log_every")}
+            config_lib.validate(_with(config, longer))
+            words = [f"--config.run.{one}={value}" for one, value in longer.items()]
+            return f"next: {shell.line('train', f'--workdir={workdir}', *words)}  (goes on with this one)"
     folder = free = Path("runs") / name.replace(":", "-")
     for number in itertools.count(2):
         if not free.exists():
@@ -358,6 +361,13 @@ def _next(config, workdir: Path, on_cpu: bool) -> str:
         free = folder.with_name(f"{folder.name}-{number}")
     words = [f"--config={name}", *[f"--workdir={free}"] * (free != folder)]
     return f"next: {shell.line('train', *words)}  ({where})"
+
+
+def _with(config, run: Mapping[str, Any]):
+    """A config with other fields of `run`."""
+    other = config_dict.ConfigDict(config)
+    other.run.update(run)
+    return other
 
 
 def how_to_see(config, workdir: Path, summary: dict[str, Any]) -> str:

@@ -184,6 +184,7 @@ def summary(workdir: Path, one: Combination) -> dict[str, Any]:
         ended = (
             found["iterations"] == iterations_saved(workdir, one) == one.config.run.num_iterations
         )
+        ended = ended and ("video" in found or not one.config.run.video_seconds)
         evaluation = found.get("evaluation", {})
         some = [found["seconds"], found.get("return"), *evaluation.values()]
         numbers = type(found["sim_steps"]) is int and all(map(_numbers, some))

@@ -26,6 +26,7 @@ from dynappo.sweeps import sweep as sweep_lib
 from dynappo.web import address, child
 
 GOES_ON = "the same command goes on from {}"
+DOES_THE_REST = "all iterations are done, the same command does what is left"
 SWEEP_GOES_ON = "the same command goes on with the sweep"
 USAGE = """\
 examples
@@ -208,7 +209,7 @@ def afterwards(command: Command) -> str:
         if not (saved := workdir_lib.saved(command.workdir)):
             return "there is no checkpoint yet, the same command starts anew"
         if saved[0] >= command.config.run.num_iterations:
-            return "all iterations are done, the same command does what is left"
+            goes_on = DOES_THE_REST
         goes_on = goes_on.format(f"iteration {saved[0]}")
     return goes_on.replace("command", "command without --fresh") if command.fresh else goes_on
 

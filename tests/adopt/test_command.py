@@ -466,6 +466,11 @@ def test_in_a_clone_our_licence_is_not_the_robots(folder, tmp_path, monkeypatch)
     file = Path(folder) / "toy.xml"
     file.write_text("<mujoco/>")
     assert source.licence(file)[1] == "Apache-2.0"  # another repository's
+    said = source.origin(file)
+    (ours / "dynappo").mkdir()
+    (ours / "dynappo/algorithm.py").touch()  # a clone, wherever the package is that runs
+    assert source.licence(file) == ("", "") and source.origin(file) == said.partition(";")[0]
+    (ours / "dynappo/algorithm.py").unlink()
     monkeypatch.setattr(versions, "ROOT", ours)
     assert source.licence(file) == ("", "")
     (ours / "LICENSE.spider").write_text("BSD\n")

@@ -220,6 +220,8 @@ def test_a_policy_is_one_however_its_path_is_typed():
     body = {"policy_sha256": "a", "robot_sha256": "b"}
     assert of_one(here | body, typed | body | {"robot_xml": "there/a.xml"})
     assert not of_one(here | body, here | body | {"robot_sha256": "c"})
+    other = {"robot_sha256": "c", "mujoco": "4"}  # which hashes a model otherwise
+    assert of_one(here | body | {"mujoco": "3"}, here | body | other)
     assert of_one(here | body, typed | {"policy_sha256": "a"})  # an older result
     xml = {"robot_xml": "a.xml"}
     assert not of_one(here | {"policy_sha256": "a"}, typed | {"policy_sha256": "a"} | xml)

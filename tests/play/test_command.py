@@ -133,10 +133,10 @@ def test_after_a_fall_every_number_says_that_it_is_until_then(player):
         and fell["tracking error"] == "fell in the first second"
     )
     assert fell["distance"] == "0.2 m until the fall"  # so it did go somewhere
-    assert fell["cost of transport"] == "fell in the first 0.5 m"
+    assert fell["cost of transport"] == "went less than 0.5 m until the fall"
     rows["fell"][:], rows["qpos"] = False, 0.1 * qpos
     slow = dict(play_command.table(player, rows))
-    assert (slow["distance"], slow["cost of transport"]) == ("0.2 m", "only after 0.5 m")
+    assert (slow["distance"], slow["cost of transport"]) == ("0.2 m", "went less than 0.5 m")
 
 
 def test_zero_stands_and_random_follows_its_seed(tmp_path, monkeypatch):

@@ -417,6 +417,9 @@ def test_what_the_page_says_of_the_goal_and_of_single_seeds_is_so():
     assert f"{min(means):.1f} to {max(means):.1f}" == "1.9 to 3.0"
     assert "Within 3.69 M steps it walks on 39 of 40 seeds, PPO tuned to walk on 37" in verdict
 
+    first = f"{np.mean(ours_of('ppo-walk-g').level) / 1e6:.1f}"
+    assert f"On a Go1 the PPO to walk is at 38 after {first}." in readme
+
     (count,) = re.findall(r"(\d+ settings in \d+) runs, not (\d+) in (\d+)", front)
     assert f"was tuned with {count[0]} runs (`best` with {count[1]} in {count[2]})" in readme
     assert f"was tuned with {count[0]} runs, `best` with {count[1]} in {count[2]}" in results

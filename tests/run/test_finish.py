@@ -210,7 +210,7 @@ def test_a_film_of_an_earlier_policy_is_told(program, whole, tmp_path):
     assert said == []
     film.touch()
     summary = finish.finish(run, program(), whole.state, {}, said.append)
-    assert said == [f"{film} is of an earlier policy; run.video_seconds films this one"]
+    assert said == [f"{film} is of an earlier end of this run"]
     assert "video" not in summary
 
 

@@ -1,6 +1,7 @@
 """What the command says of a run, in words."""
 
 import io
+import math
 import pathlib
 import re
 import shlex
@@ -303,7 +304,8 @@ def test_the_last_table_has_the_numbers_and_what_to_do_next(name):
     [
         (
             *("cpu", "go1:laptop", 20, ["go1-laptop"]),
-            "--workdir=runs/x --config.run.num_iterations=400  (goes on with this one)",
+            "--workdir=runs/x --config.run.num_iterations=400 --config.run.log_every=10  "
+            "(goes on with this one)",
         ),
         ("cpu", "go1:quick", 20, [], "--config=go1:laptop  (made for a CPU)"),
         (
@@ -328,11 +330,31 @@ def test_the_next_run_is_one_for_this_machine_and_is_not_refused(
     assert f" train {said}\n" in text.getvalue()
 
 
-def test_a_longer_run_has_whole_chunks(monkeypatch):
+@pytest.mark.parametrize("iterations", [2, 3, 7, 20, 190])
+def test_a_short_run_is_told_a_command_that_goes_on(iterations, monkeypatch, tmp_path):
+    """Which `train` takes for the run's own folder, however short the chunks of the first were."""
+    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(show.devices, "local", lambda _: SimpleNamespace(platform="cpu"))
-    text, run = io.StringIO(), config("go1:laptop", num_iterations=21, log_every=7)
+    every = math.gcd(iterations, 10)
+    text, run = io.StringIO(), config("go1:laptop", num_iterations=iterations, log_every=every)
+    pathlib.Path("runs/x").mkdir(parents=True)
+    pathlib.Path("runs/x/config.json").write_text(config_lib.to_json(run))
     show.summary(Console(file=text, width=200), run, pathlib.Path("runs/x"), SUMMARY)
-    assert " train --workdir=runs/x --config.run.num_iterations=406 " in text.getvalue()
+    (line,) = [line for line in text.getvalue().splitlines() if line.startswith("next: ")]
+    words = shlex.split(line.partition(" train ")[2].partition("  (goes on with this one)")[0])
+    asked = train_command.parse(words)
+    assert asked.workdir == pathlib.Path("runs/x") and asked.config.run.num_iterations == 400
+    same = config_lib.validate(config_lib.load("go1:laptop"))
+    assert all(asked.config[group] == same[group] for group in ("rollout", "schedule", "ppo"))
+
+
+def test_where_a_longer_run_would_be_refused_a_new_one_is_told(monkeypatch):
+    """`eval_every` of the short one is no multiple of the longer one's chunks."""
+    monkeypatch.setattr(show.devices, "local", lambda _: SimpleNamespace(platform="cpu"))
+    fields = dict(num_iterations=21, log_every=7, eval_every=7, checkpoint_every=7)
+    text, run = io.StringIO(), config("go1:laptop", **fields)
+    show.summary(Console(file=text, width=200), run, pathlib.Path("runs/x"), SUMMARY)
+    assert " train --config=go1:laptop" in text.getvalue()
 
 
 def test_a_robot_without_a_config_of_its_name_has_a_next_run(monkeypatch):

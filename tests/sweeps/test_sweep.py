@@ -196,6 +196,20 @@ def test_a_damaged_summary_is_none(whole, tmp_path, text):
     assert table.row(workdir, one)["note"] == "at iteration 4"
 
 
+def test_a_combination_whose_film_was_interrupted_has_not_ended(whole, tmp_path):
+    """Its summary is written before the film, so that no evaluation is lost."""
+    workdir = shutil.copytree(whole, tmp_path / "sweep")
+    one = asked(SWEEP, **WHOLE).combinations[1]
+    config, place = config_dict.ConfigDict(one.config), workdir / one.name
+    config.run.video_seconds = 1.0
+    one = one._replace(config=config)
+    (place / "config.json").write_text(config_lib.to_json(config) + "\n")
+    assert folder.summary(workdir, one) == {}
+    found = json.loads((place / "summary.json").read_text())
+    (place / "summary.json").write_text(json.dumps(found | {"video": "no video: no ffmpeg"}))
+    assert folder.summary(workdir, one)
+
+
 def test_a_lost_file_of_a_combination_is_written_again(whole, tmp_path, stop, capsys):
     """Rows that are lost stay empty; the table is as before."""
     workdir = shutil.copytree(whole, tmp_path / "sweep")

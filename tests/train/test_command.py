@@ -280,6 +280,12 @@ def test_a_run_has_a_folder_of_its_own(argv, folder):
         ([], "4.tmp", "there is no checkpoint yet, the same command starts anew"),
         ([], "4", "the same command goes on from iteration 4"),
         (["--fresh"], "4", "the same command without --fresh goes on from iteration 4"),
+        ([], "1000", "all iterations are done, the same command does what is left"),
+        (
+            ["--fresh"],
+            "1000",
+            "all iterations are done, the same command without --fresh does what is left",
+        ),
     ],
 )
 def test_ctrl_c_promises_what_is_there(flags, saved, expected, monkeypatch, capsys, tmp_path):
