@@ -475,7 +475,7 @@ def licence(xml: Path) -> tuple[str, str]:
     for folder in folders[: tops[0] + 1 if tops else 1]:
         for pattern in LICENCES:
             for file in sorted(folder.glob(pattern)):
-                if file.is_file() and not _ours(folder, file):
+                if file.is_file() and not (file.name == "LICENSE" and _clone(folder)):
                     where = Path(os.path.relpath(file, folders[0])).as_posix()
                     return where, file.read_text(encoding="utf-8", errors="replace").strip()
     comments = re.findall(r"<!--(.*?)-->", xml.read_text(encoding="utf-8"), re.S)
@@ -487,10 +487,6 @@ def licence(xml: Path) -> tuple[str, str]:
 def _clone(folder: Path) -> bool:
     """Whether a folder is the root of a clone of dynappo."""
     return folder == versions.ROOT or (folder / "dynappo/algorithm.py").is_file()
-
-
-def _ours(folder: Path, file: Path) -> bool:
-    return file.name == "LICENSE" and _clone(folder)
 
 
 def origin(xml: Path) -> str:

@@ -14,8 +14,8 @@ the time after the first second and before a fall:
 - `torque_share`: the share of its limit that the most loaded joint stays below for 99 % of the time;
   `joint_speed`: root mean square over joints (rad/s);
 - `tilt`: mean angle of the base from upright (rad); `height`: mean height of its frame (m);
-- how the feet move: `foot_motion.py`; measures of strides are left out where there is no cost of transport,
-  as of a robot that stands and whose feet chatter.
+- how the feet move: `foot_motion.py`; measures of strides are left out of a robot that neither goes nor
+  turns: one that stands may have feet that chatter.
 """
 
 from __future__ import annotations

@@ -10,11 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ml_collections import config_dict
 
 from dynappo import config as config_lib
 from dynappo import schedule
-from dynappo.config import files, shell, terms
+from dynappo.config import fields, files, shell, terms
 from dynappo.policy import walks
 from dynappo.program import build, devices, memory
 from dynappo.program.build import Program
@@ -351,7 +350,9 @@ def _next(config, workdir: Path, on_cpu: bool) -> str:
         same = all(config[one] == larger[one] for one in config if one != "run")
         if on_cpu and same and larger.run.num_iterations > config.run.num_iterations:
             longer = {one: larger.run[one] for one in ("num_iterations", "log_every")}
-            config_lib.validate(_with(config, longer))
+            further = fields.copied(config)
+            further.run.update(longer)
+            config_lib.validate(further)
             words = [f"--config.run.{one}={value}" for one, value in longer.items()]
             return f"next: {shell.line('train', f'--workdir={workdir}', *words)}  (goes on with this one)"
     folder = free = Path("runs") / name.replace(":", "-")
@@ -361,13 +362,6 @@ def _next(config, workdir: Path, on_cpu: bool) -> str:
         free = folder.with_name(f"{folder.name}-{number}")
     words = [f"--config={name}", *[f"--workdir={free}"] * (free != folder)]
     return f"next: {shell.line('train', *words)}  ({where})"
-
-
-def _with(config, run: Mapping[str, Any]):
-    """A config with other fields of `run`."""
-    other = config_dict.ConfigDict(config)
-    other.run.update(run)
-    return other
 
 
 def how_to_see(config, workdir: Path, summary: dict[str, Any]) -> str:
