@@ -49,6 +49,7 @@ COMMITS = {  # of batches of SECONDS; rows of the first do not have theirs
     "H200, 2026-11-29, second host": "724e00df",
     "H200, 2026-11-29, third host": "32eca169",
     "H200, 2026-11-29, fourth host": "05f6d8fb",
+    "H200, 2026-11-30": "2a51cc3d",
     "two cores, 2026-11-29": "215ed131",
 }
 CORES = "two CPU cores", "2026-11-26"
