@@ -1,4 +1,4 @@
-"""What the rule for fresh seeds says of the jobs of fresh.txt (README.md), printed with its numbers.
+"""What the rule for fresh seeds says of fresh.txt and ppo_more_fresh.txt (README.md), with its numbers.
 
     python experiments/23_untuned/fresh.py FOLDER_OR_PACKED_FILE [--batch BATCH]
 
@@ -71,14 +71,24 @@ def told(jobs: dict) -> list[str]:
 
 
 def steps(jobs: dict, robot: str, goal: str) -> Goal:
-    """Of the PPO chosen for the goal (of Spot one for both) and of `best`, up to where PPO ends."""
-    asked = [n for n in jobs if n.startswith(f"{goal}-{robot}-")]
-    asked = asked or [n for n in jobs if n.startswith(f"walks-{robot}-")]
-    if not asked or f"{robot}-best" not in jobs:
+    """Of the PPO that stands for the goal and of `best`, up to where PPO ends."""
+    if not (asked := chosen(jobs, robot, goal)) or f"{robot}-best" not in jobs:
         raise SystemExit(
             f"{robot}: no {goal}- job, or no {robot}-best, expected those of fresh.txt"
         )
-    mine = runs.seeds(jobs[asked[0]])
+    of_each = [beside(jobs, robot, goal, name) for name in asked]
+    return of_each[-1] if goal == "level" else min(of_each, key=lambda one: one.ppo.mean())
+
+
+def chosen(jobs: dict, robot: str, goal: str) -> list[str]:
+    """The PPO chosen for the goal, the last one last; that for a walk where it was chosen for both. To the
+    level the last stands, to a walk that with the fewest steps."""
+    asked = [name for name in jobs if name.startswith(f"{goal}-{robot}-")]
+    return asked or [name for name in jobs if name.startswith(f"walks-{robot}-")]
+
+
+def beside(jobs: dict, robot: str, goal: str, name: str) -> Goal:
+    mine = runs.seeds(jobs[name])
     end = mine[0][-1]["sim_steps"]
     other = [[r for r in run if r["sim_steps"] <= end] for run in runs.seeds(jobs[f"{robot}-best"])]
     each = [getattr(runs.reached(some, LEVEL), goal) for some in (mine, other)]

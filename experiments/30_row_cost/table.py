@@ -6,8 +6,8 @@
 Runs are those of results/alone.csv.xz, one at a time on their device, and those of 25_humanoid and 04_laptop
 that were. A name is PLACE.METHOD: a place is a robot, task and engine; METHOD is `best`, one with settings
 for seconds (`tune-`: on the seeds among which they are chosen), or `ppo` with its robots, at some places x
-its rows. `again-`: once more, by a rule of next.md; only the table of runs.md has these by itself. BATCH says
-card and date; the clock of a seed that ran more than once is the median. What the level is, and a walk:
+its rows (`-walk`: tuned to walk, `-often`: evaluated as often as `best` for seconds). `again-`: the same
+setting on new seeds, by a rule set before. BATCH says card and date; the clock of a seed that ran more than once is the median. What the level is, and a walk:
 dynappo/policy/walks.py.
 
 Computed: `later` gives a run's seconds if its rows cost more, from its own clock and rows. `break_even` is
@@ -57,6 +57,7 @@ BUSY = {("PPO, 256", "900"), ("PPO, 2048", "900"), ("PPO, 2048", "901")}  # left
 POWERS = {"a GPU": math.log(2.98 / 2.2) / math.log(4), "two cores": 1.0}
 MANY, OFTEN = 3, 5  # seeds of a choice, and of an interval
 TUNING = "tune-"  # so begin settings of `best` on seeds 0 to 2, among which one is chosen
+AGAIN = "again-"  # and jobs that are those without it, on new seeds
 COSTS = np.geomspace(0.1, 100, 601)  # ms
 
 
@@ -130,6 +131,9 @@ def of_rows(rows: list[dict]) -> list[Run]:
 
 def of_job(batch: str, name: str, each: list[list[dict]]) -> Run:
     place, _, method = name.rpartition(".")
+    if method.startswith(AGAIN):
+        method = method.removeprefix(AGAIN)
+        method = method if method.startswith(("best", "ppo")) else f"best-{method}"
     by_seed = collections.defaultdict(list)
     for rows in each:
         by_seed[rows[0]["seed"]].append(reached(rows))
@@ -278,6 +282,15 @@ def settings(found: list[Run], place: str) -> tuple[Run, list[Run]] | None:
     return max(both, key=worth, default=None)
 
 
+def of_other_days(found: list[Run], best: Run, ppos: list[Run]) -> list[Run]:
+    """Other settings of PPO than `ppos`, of other days at the place of `best`, on today's task and that kind
+    of card, with as many seeds as an interval needs, more than half of which get there."""
+    here = [run for run in found if run.place == best.place and run.method.startswith("ppo")]
+    some = [run for run in here if day(run)[0] == day(best)[0] and run.batch not in (H100, H200)]
+    some = [run for run in some if run.method not in {ppo.method for ppo in ppos}]
+    return [run for run in some if len(run.level) >= OFTEN and there(run) > 0.5]
+
+
 def beside(some: list[Run], best: Run) -> list[Run]:
     """The settings of PPO on the kind of card and the day of `best`, else on that kind of card: of each the
     host of `best` if it has as many seeds as an interval needs, else that with most; of equals one on which
@@ -420,7 +433,8 @@ def compared(found: list[Run]) -> str:
         if not (pair := settings(found, place)):
             continue
         best, ppos = pair
-        fast, few, ms = fastest_beside(best, ppos), sparing(ppos), cost(found, best)
+        fast, ms = fastest_beside(best, ppos), cost(found, best)
+        few = sparing([*ppos, *of_other_days(found, best, ppos)])
         times = [run.level[:, 2] for run in (fast, best)]
         more = "at least " * (there(few) < 1) + ratio(steps(few), steps(best))
         quick = fastest(variants(found, best))

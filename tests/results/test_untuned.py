@@ -15,14 +15,17 @@ PAGE = (FOLDER / "README.md").read_text()
 WORDS = " ".join(PAGE.split())
 ROBOTS = {"anymal_b": "ANYmal-B", "spot": "Spot"}
 FRESH = "Today's `best` beside tuned PPO"
-TITLES = {  # jobs of fresh.txt -> rows of the table
+TITLES = {  # jobs of fresh.txt and ppo_more_fresh.txt -> rows of the table
     "anymal_b-best": "ANYmal-B, `best`",
     "walks-anymal_b-grid-512-kl3": "ANYmal-B, PPO chosen to walk, 512 robots",
-    "level-anymal_b-grid-128-kl3": "ANYmal-B, PPO chosen for the level, 128 robots",
+    "walks-anymal_b-grid-256-kl3-gamma98": "ANYmal-B, PPO chosen to walk, 256 robots, gamma 0.98",
+    "level-anymal_b-grid-128-kl5": "ANYmal-B, PPO chosen for the level, 128 robots, KL 0.05",
+    "level-anymal_b-grid-128-kl3": "ANYmal-B, PPO chosen for the level before, 128 robots",
     "spot-best": "Spot, `best`",
-    "walks-spot-grid-256-kl3": "Spot, PPO chosen for both, 256 robots",
+    "walks-spot-grid-256-kl3": "Spot, PPO chosen to walk, 256 robots",
+    "level-spot-grid-128-kl4": "Spot, PPO chosen for the level, 128 robots, KL 0.04",
 }
-CHOSEN = {  # PPO chosen to walk
+CHOSEN = {  # PPO that stands for a walk
     "anymal_b": "walks-anymal_b-grid-512-kl3",
     "spot": "walks-spot-grid-256-kl3",
 }
@@ -97,9 +100,11 @@ def fresh_rule():
 
 
 def test_the_table_of_fresh_seeds_is_that_of_its_runs():
-    """Every job of fresh.txt, whole, with its ten seeds once, of the host and commit that the page names."""
+    """Every job of both lists, whole, with its ten seeds once, of the host and commit that the page names."""
     table, jobs = read("fresh")
-    assert {name: job[0]["job"] for name, job in jobs.items()} == paper.jobs(FOLDER / "fresh.txt")
+    more = paper.jobs(FOLDER / "ppo_more_fresh.txt")
+    asked = paper.jobs(FOLDER / "fresh.txt") | more
+    assert {name: job[0]["job"] for name, job in jobs.items()} == asked
     shown = part(FRESH)
     assert {row for row in shown if row.startswith(tuple(ROBOTS.values()))} == {
         *TITLES.values(),
@@ -111,16 +116,22 @@ def test_the_table_of_fresh_seeds_is_that_of_its_runs():
     }
     for name, title in TITLES.items():
         job = jobs[name]
-        assert sorted(run[0]["seed"] for run in table.seeds(job)) == [*range(1200, 1210)]
-        (about,) = {(row["batch"], row["device"], row["commit"]) for row in job}
-        assert about[:2] == ("fresh", "NVIDIA H200") and about[2].startswith("60000061")
+        first, *host = (1600, "more", "2a51cc3d") if name in more else (1200, "fresh", "60000061")
+        assert sorted(run[0]["seed"] for run in table.seeds(job)) == [*range(first, first + 10)]
+        (about,) = {(row["batch"], row["commit"][:8], row["device"]) for row in job}
+        assert about == (*host, "NVIDIA H200")
         row = row_of(table, job)
         assert shown[title] == [*row[:2], falls_then(table, job), *row[2:]], name
     head = head_of(table, job)
     assert shown["of 30"] == [*head[:2], "falls then", *head[2:]]
-    assert "of one host, 2026-11-29, commit 60000061; several runs shared it" in WORDS
-    assert "Ten fresh seeds each (1200 to 1209), `fresh.txt`, evaluated on 1000 episodes" in WORDS
-    assert "one NVIDIA H200, 2026-11-29, commit 60000061" in WORDS.split("**In Isaac Lab")[0]
+    text = (
+        "`fresh.txt` (seeds 1200 to 1209) ran on one of two H200 of one host, 2026-11-29, commit "
+    )
+    text += "60000061; `ppo_more_fresh.txt` (1600 to 1609), which has the three with a KL or gamma in their "
+    assert text + "names, on one of two of another, 2026-11-30, commit 2a51cc3d." in WORDS
+    assert {n for n in TITLES if " KL " in TITLES[n] or "gamma" in TITLES[n]} == more.keys()
+    text = "NVIDIA H200, 2026-11-29 and -30, commits 60000061 and 2a51cc3d"
+    assert text in WORDS.split("**In Isaac Lab")[0]
 
 
 def of_level(one, whose=""):
@@ -188,12 +199,8 @@ def test_the_verdict_on_fresh_seeds_is_what_the_rule_says():
     for name in ("README.md", "docs/results.md"):
         assert text.format(*(one.value for one in times)) in others[name]
     around = ", ".join(f"{one.low:.2f} to {one.high:.2f}" for one in times)
-    text = "the level ({}). Of ten more settings none is sooner there on tuning seeds, but two tie, and on"
-    text += (
-        " ANYmal-B one may walk sooner; these three have not run on fresh seeds. To a walk it needs"
-    )
-    text += " {:.1f} M more ({:.1f} to {:.1f}; one PPO seed never walks and counts"
-    text += " with twice its run) and {:.1f} M more ({:.1f} to {:.1f}; ten fresh seeds each"
+    text = "the level ({}). To a walk it needs {:.1f} M more ({:.1f} to {:.1f}; one PPO seed never walks and"
+    text += " counts with twice its run) and {:.1f} M more ({:.1f} to {:.1f}; ten fresh seeds each"
     both = [x / 1e6 for one in more for x in (one.value, one.low, one.high)]
     assert text.format(around, *both) in others["docs/results.md"]
     text = "needs {:.2f} and {:.2f} times its steps to the level ({}), and to a walk {:.2f} M and {:.2f} M"
@@ -202,10 +209,9 @@ def test_the_verdict_on_fresh_seeds_is_what_the_rule_says():
         ", ".join(f"{x.low / 1e6:.2f} to {x.high / 1e6:.2f}" for x in more)
     )
     assert text in others["experiments/README.md"]
-    text = f"need {ppo[1]} (one of ten never walks and counts with twice its run) and {ppo[3]} M to a walk, "
-    assert (
-        text + f"and {ppo[0]} and {ppo[2]} M to the level." in others["experiments/21_less/ppo.md"]
-    )
+    text = f"On ten fresh seeds those that stand need {ppo[1]} (one of ten never walks and counts with twice "
+    text += f"its run) and {ppo[3]} M to a walk, and {ppo[0]} and {ppo[2]} M to the level."
+    assert text in others["experiments/21_less/ppo.md"]
     tuned = part("PPO tuned on these robots")
     was = [tuned[f"{name}, KL 0.03"][1] for name in ("ANYmal-B, 512 robots", "Spot, 256 robots")]
     text = (
@@ -218,12 +224,17 @@ def test_what_the_page_says_of_single_fresh_seeds():
     """The last of `best` and the first of PPO, to both goals; the seed that never walks; those that fall."""
     (fresh, jobs), table = fresh_rule(), script("21_less/table")
     steps = {(r, g): fresh.steps(jobs, r, g) for r in ROBOTS for g in fresh.GOALS}
-    assert all(one.best.max() < one.ppo.min() for one in steps.values())
+    soonest = {  # of every PPO of the table
+        (r, g): min(fresh.beside(jobs, r, g, n).ppo.min() for n in TITLES if f"-{r}-" in n)
+        for r, g in steps
+    }
+    assert all(one.best.max() < soonest[key] for key, one in steps.items())
     last = {key: f"{one.best.max() / 1e6:.2f}" for key, one in steps.items()}
-    first = {key: f"{one.ppo.min() / 1e6:.2f}" for key, one in steps.items()}
+    first = {key: f"{at / 1e6:.2f}" for key, at in soonest.items()}
     (at,) = {last[robot, "level"] for robot in ROBOTS}
     b, s = ROBOTS
-    text = f"The last seeds of `best` are at the level after {at} M on both robots, the first of PPO after "
+    text = f"The last seeds of `best` are at the level after {at} M on both robots, the first of any PPO of "
+    text += "the table after "
     text += f"{first[b, 'level']} (ANYmal-B) and {first[s, 'level']} M (Spot). They walk after "
     text += f"{last[b, 'walks']} and {last[s, 'walks']} M, the first of PPO after {first[b, 'walks']} and "
     assert text + f"{first[s, 'walks']} M." in WORDS
@@ -246,8 +257,13 @@ def test_what_the_page_says_of_single_fresh_seeds():
     value, low, high = (x / 1e6 for x in once)
     text = f"If it counts with the {one.end / 1e6:.2f} M of its run, not twice that, PPO needs {value:.2f} M "
     assert text + f"more ({low:.2f} to {high:.2f}; looked at" in WORDS
-    level = table.reached(table.seeds(jobs["level-anymal_b-grid-128-kl3"]), 24)
-    assert np.isnan(level.walks).sum() == 3 and "for the level three of ten never walk." in WORDS
+    for kl in ("kl3", "kl5"):
+        level = table.reached(table.seeds(jobs[f"level-anymal_b-grid-128-{kl}"]), 24)
+        assert np.isnan(level.walks).sum() == 3
+    assert "Of both PPO chosen for the level three of ten never walk." in WORDS
+    other = fresh.beside(jobs, b, "walks", "walks-anymal_b-grid-256-kl3-gamma98")
+    text = f"gamma 0.98 all ten walk, after {other.ppo.mean() / 1e6:.2f} M in the mean."
+    assert other.never[0] == 0 and text in WORDS
 
 
 def test_how_fresh_runs_end_at_equal_steps():
@@ -369,9 +385,44 @@ def test_the_jobs_of_the_new_winners_are_those_that_choose_takes(tmp_path, monke
     assert "a new winner runs on ten fresh seeds (1600 to 1609)" in WORDS
 
 
+def test_which_ppo_stands_on_fresh_seeds():
+    """To the level the winners among all fourteen, whatever they need; to a walk the one with fewer steps."""
+    fresh, jobs = fresh_rule()
+    said, p = [], []
+    for robot, new, old in (
+        ("anymal_b", "level-anymal_b-grid-128-kl5", "level-anymal_b-grid-128-kl3"),
+        ("spot", "level-spot-grid-128-kl4", "walks-spot-grid-256-kl3"),
+    ):
+        a, b = (fresh.beside(jobs, robot, "level", name).ppo / 1e6 for name in (new, old))
+        assert np.allclose(fresh.steps(jobs, robot, "level").ppo, a * 1e6) and a.mean() < b.mean()
+        less = stats.difference(b, a)
+        said.append(
+            f"{a.mean():.2f} instead of {b.mean():.2f} M on {ROBOTS[robot]} ({less.value:.2f} M less; "
+            f"{less.high:.2f} less to {-less.low:.2f} more)"
+        )
+        p.append(f"{stats.welch_of(a, b):.2f}")
+    assert f"and take the place: {said[0]} and {said[1]}. As expected, no difference" in WORDS
+    assert f"is shown (p {p[0]} and {p[1]}, two hosts, other seeds)" in WORDS
+    stays, other = (
+        fresh.beside(jobs, "anymal_b", "walks", f"walks-anymal_b-grid-{name}")
+        for name in ("512-kl3", "256-kl3-gamma98")
+    )
+    assert np.array_equal(fresh.steps(jobs, "anymal_b", "walks").ppo, stays.ppo)
+    more = stats.difference(other.ppo / 1e6, stays.ppo / 1e6)
+    text = f"512 robots stay: they need {stays.ppo.mean() / 1e6:.2f} M, where the one that never walks "
+    text += f"counts with twice its run, 256 robots with gamma 0.98 {other.ppo.mean() / 1e6:.2f}, and all ten "
+    text += f"walk ({more.value:.2f} M more; {-more.low:.2f} less to {more.high:.2f} more, p "
+    assert f"{text}{stats.welch_of(other.ppo, stays.ppo):.2f})" in WORDS
+    saved, now = (fresh.around(one) for one in (other, stays))
+    text = (
+        f"saves {saved.value / 1e6:.2f} M ({saved.low / 1e6:.2f} to {saved.high / 1e6:.2f}), not "
+    )
+    assert f"{text}{now.value / 1e6:.2f}." in WORDS
+
+
 def test_what_the_page_says_of_ten_more_settings():
-    """The winners among all fourteen, by both readings of the earlier batch, and beside fresh `best`."""
-    choose, (fresh, jobs) = script("21_less/choose"), fresh_rule()
+    """The winners among all fourteen, by both readings of the earlier batch."""
+    choose = script("21_less/choose")
     (table, first), (_, more), (_, every) = read("ppo", "2"), read("ppo", "3"), read("ppo")
     level = {robot: costs("level", robot, every) for robot in ROBOTS}
     said, returns = [], []
@@ -384,8 +435,7 @@ def test_what_the_page_says_of_ten_more_settings():
         assert list(level[robot])[:2] == names and a == b < third
         said.append(f"{a / 1e6:.2f}")
         returns.append("{:.1f}, not {:.1f}".format(*(choose.last_return(every[x]) for x in names)))
-    text = "Ten more settings of PPO a robot are no sooner at the level on tuning seeds. But two tie there"
-    assert text in WORDS.split("**In Isaac Lab")[0]
+    assert "of fourteen settings on each" in WORDS.split("**In Isaac Lab")[0]
     text = f"On ANYmal-B 128 robots with a KL of 0.05 need {said[0]} M, as with 0.03; on Spot 128 robots "
     text += (
         f"with 0.04 need {said[1]} M, as 256 with 0.03. Of equal ones `choose.py` takes that with "
@@ -408,38 +458,6 @@ def test_what_the_page_says_of_ten_more_settings():
     text = f"with {new:.2f} M: `choose.py` takes both batches of the 512 robots for one job of six runs, "
     text += f"which needs {both:.2f} M. By batch 2 alone, with which it was chosen, that needs "
     assert text + f"{alone['anymal_b-grid-512-kl3'] / 1e6:.2f} M and would stay." in WORDS
-    # beside the fresh seeds of `best`
-    job = more["anymal_b-grid-128-kl5"]
-    apart = table.seeds(job)[0][1]["sim_steps"] - table.seeds(job)[0][0]["sim_steps"]
-    told = []
-    for robot, name in (("anymal_b", "128-kl5"), ("spot", "128-kl4")):
-        mine = choose.steps_to(more[f"{robot}-grid-{name}"], "level", None)
-        x = stats.ratio(mine - apart, fresh.steps(jobs, robot, "level").best)
-        told.append((f"{x.value:.1f}", f"{x.low:.1f} to {x.high:.1f}"))
-    (b, around_b), (s, around_s) = told
-    text = f"whole interval between evaluations, {apart / 1e6:.2f} M, off their steps the new ones would "
-    text += (
-        f"need {b} ({around_b}; ANYmal-B) and {s} times ({around_s}; Spot) the steps of `best` on "
-    )
-    assert f"{text}its fresh seeds." in WORDS
-    soon = [
-        min(
-            np.nanmin(choose.steps_to(job, "level", None))
-            for n, job in every.items()
-            if n.startswith(r)
-        )
-        for r in ROBOTS
-    ]
-    last = [fresh.steps(jobs, robot, "level").best.max() for robot in ROBOTS]
-    text = "No seed of any setting is at the level before {:.2f} and {:.2f} M; the last of `best` is there "
-    text = text.format(*(x / 1e6 for x in soon)) + f"after {max(last) / 1e6:.2f}."
-    assert text in WORDS and max(last) < min(soon)
-    walk = fresh.steps(jobs, "anymal_b", "walks")
-    mine = choose.steps_to(more["anymal_b-grid-256-kl3-gamma98"], "walks", None)
-    now, off = (stats.difference(mine - x, walk.best) for x in (0, apart))
-    text = f"would need {now.value / 1e6:.2f} M more than `best` ({-now.low / 1e6:.2f} fewer to "
-    text += f"{now.high / 1e6:.2f} more), with the interval off {off.value / 1e6:.2f}, instead of "
-    assert text + f"{fresh.around(walk).value / 1e6:.2f}." in WORDS
     # how much was tuned
     runs = [sum(len(table.seeds(job)) for job in read("ppo", k)[1].values()) for k in "123"]
     assert runs[1] + runs[2] == 2 * 14 * 3 and runs[0] == 3
@@ -685,6 +703,17 @@ def test_the_rule_for_fresh_seeds_says_what_it_was_written_to_say():
     assert lines[8].startswith("Spot, to the level: PPO 0.30 M, `best` 0.")
     assert lines[11] == "  no saving to the level is shown" == "  " + fresh.NOT_SHOWN["level"]
     page = WORDS.split("## The rule for fresh seeds ")[1].split(" ## ")[0]
+
+    # PPO chosen later: to the level it stands though it needs more, to a walk only if it needs fewer
+    def rows(each):
+        return [row for run in each for row in run]
+
+    both = {**jobs, "level-anymal_b-z": rows(run_of(s, 30 + s, 30 + s) for s in range(3))}
+    both["walks-anymal_b-z"] = rows(run_of(s, 20, 50 + s) for s in range(3))
+    stands = [fresh.steps(both, "anymal_b", goal).ppo / unit for goal in ("level", "walks")]
+    assert np.allclose(stands[0], [30, 31, 32]) and np.allclose(stands[1], [50, 51, 52])
+    both["walks-anymal_b-z"] = rows(run_of(s, 20, 65) for s in range(3))  # never: 120
+    assert np.allclose(fresh.steps(both, "anymal_b", "walks").ppo / unit, [30, 35, 120])
     every = [fresh.verdict(goal, x) for goal in ("level", "walks") for x in (-1, 2)]
     for words in [*every, *fresh.NOT_SHOWN.values()]:
         assert f'"{words}"' in page, words
