@@ -157,8 +157,8 @@ STATED = {  # name -> where, and the words
     "go1 seconds to 38": [
         ("README.md", "follows commands after {:.1f} s of training"),
         ("docs/results.md", "alone on an H200 is at 38 after {:.1f} s"),
-        ("docs/speed.md", "38 after 56 iterations, {:.1f} s;"),
-        (ROW_COST, "instead of {:.2f} s to the level and 0.77"),
+        ("docs/speed.md", "38 after 58 iterations, {:.1f} s;"),
+        (ROW_COST, "instead of {:.2f} s to the level and 0.91"),
     ],
     "go1 seconds to a walk": [
         ("README.md", "s of training and walks after {:.1f}"),
@@ -173,13 +173,13 @@ STATED = {  # name -> where, and the words
         (ROW_COST, "its fastest setting, is faster: {:.2f} instead of"),
     ],
     "go1 PPO seconds to a walk": [
-        ("README.md", "Go1, our kernel | 0.18 | 1.0 | 0.6 | 2.0 | {:.1f} |"),
-        ("docs/results.md", "and walks after {:.1f}. Where it costs"),
+        ("README.md", "Go1, our kernel | 0.18 | 1.0 | 0.6 | 1.7 | {:.1f} |"),
+        ("docs/results.md", "is at 38 after 0.6 s and walks after {:.1f}."),
         ("docs/speed.md", "walks after {:.1f} instead of"),
         (ROW_COST, "the level and {:.2f} instead of"),
     ],
     "go1 fast PPO's steps to 38, by best's": [
-        ("README.md", "for 5 to {:.0f} times the steps"),
+        ("README.md", "for 3 to {:.0f} times the steps"),
         ("docs/speed.md", "but {:.0f} times the simulator steps"),
         (ROW_COST, "a walk, for {:.0f} and"),
     ],
@@ -245,18 +245,18 @@ STATED = {  # name -> where, and the words
         (ROW_COST, "`best` is faster: {:.2f} instead of"),
     ],
     "go1 PPO seconds to 38, MuJoCo Warp": [
-        ("README.md", "Go1, MuJoCo Warp's own step | 2.2 | 2.0 | {:.1f} |"),
+        ("README.md", "Go1, MuJoCo Warp's own step | 2.2 | 1.7 | {:.1f} |"),
         ("docs/results.md", "instead of {:.1f} s, and walks"),
-        (ROW_COST, "instead of {:.2f} s to the level and 3.45"),
+        (ROW_COST, "instead of {:.2f} s to the level and 3.10"),
     ],
     "go1 seconds to a walk, MuJoCo Warp": [
-        ("README.md", "| 2.2 | 2.0 | 4.7 | {:.1f} |"),
+        ("README.md", "| 2.2 | 1.7 | 4.4 | {:.1f} |"),
         ("docs/results.md", "s, and walks after {:.1f} instead of"),
-        (ROW_COST, "to the level and {:.2f} instead of 5.52"),
+        (ROW_COST, "to the level and {:.2f} instead of 5.08"),
     ],
     "go1 PPO seconds to a walk, MuJoCo Warp": [
-        ("README.md", "| 2.2 | 2.0 | 4.7 | 3.4 | {:.1f} |"),
-        ("docs/results.md", "instead of {:.1f} (five seeds"),
+        ("README.md", "| 2.2 | 1.7 | 4.4 | 3.1 | {:.1f} |"),
+        ("docs/results.md", "instead of {:.1f} (ten and five"),
         (ROW_COST, "instead of {:.2f} to a walk."),
     ],
     "go1 seconds to 38, MJX-JAX": [
@@ -270,7 +270,7 @@ STATED = {  # name -> where, and the words
         (ROW_COST, "and after {:.2f} with PPO with 2048 robots"),
     ],
     "go1 fast PPO's steps to 38, by best's, MJX-JAX": [
-        ("docs/results.md", "for {:.0f} times the steps. In the exact"),
+        ("docs/results.md", "for {:.0f} times the steps. A G1 at"),
         (ROW_COST, "for {:.0f} times the steps (12 to 18)"),
     ],
     "go1 PPO seconds to a walk, MJX-JAX": [
@@ -349,7 +349,7 @@ STATED = {  # name -> where, and the words
     ],
     "g1 seconds to its level, MuJoCo Warp": [
         ("README.md", "G1, MuJoCo Warp's own step | 4.4 | {:.1f} |"),
-        ("docs/results.md", "on a G1 at 4.4 ms, after {:.1f} instead of"),
+        ("docs/results.md", "A G1 at 4.4 ms is at its level after {:.1f} instead of"),
         ("docs/results.md", "it is {:.1f} instead of 14.9 s (five seeds each)"),
         ("experiments/25_humanoid/README.md", "it is {:.1f} instead of 14.9 s (five"),
         ("experiments/25_humanoid/README.md", "within the errors after {:.2f} s and PPO"),
@@ -382,34 +382,30 @@ STATED = {  # name -> where, and the words
     "go2 seconds to its level, rough ground": [
         ("README.md", "Go2 on rough ground, our kernel | 0.3 | {:.1f} |"),
         ("docs/results.md", "a Go2 is at its level later, after {:.1f} s"),
-        ("docs/speed.md", "at its level after 10.1 instead of {:.1f} s"),
+        ("docs/speed.md", "at its level after 7.1 instead of {:.1f} s"),
         ("experiments/28_rough/README.md", "first at the level after {:.1f} s of training"),
         ("experiments/28_rough/time.md", "of tiles and {:.1f} to the level"),
         (ROW_COST, "a Go2 is at its level after {:.1f} s with `best`"),
     ],
     "go2 PPO seconds to its level, rough ground": [
-        ("README.md", "Go2 on rough ground, our kernel | 0.3 | 17.8 | {:.1f} |"),
-        ("docs/results.md", "PPO with 4096 robots after {:.1f} (five seeds each)"),
+        ("README.md", "Go2 on rough ground, our kernel | 0.3 | 15.0 | {:.1f} |"),
+        ("docs/results.md", "PPO with 2048 robots after {:.1f} (five seeds each)"),
         ("docs/speed.md", "on rough ground is at its level after {:.1f} instead of"),
-        ("experiments/28_rough/README.md", "4096 robots after {:.1f}, for"),
-        ("experiments/28_rough/time.md", "that same card 7.5, {:.1f} and 36.0"),
+        ("experiments/28_rough/README.md", "2048 robots after {:.1f}, for"),
+        ("experiments/28_rough/time.md", "with PPO and 2048 robots {:.1f} to the level"),
         (ROW_COST, "and after {:.1f} with PPO on the same card"),
     ],
     "go2 seconds to its level, rough ground, with settings for seconds": [
         ("docs/speed.md", "is first at its level after {:.1f} s and 10.5 M steps"),
-        ("docs/results.md", "settings for seconds `best` takes {:.1f} on that card"),
-        ("docs/speed.md", "with settings for seconds `best` takes {:.1f} s there"),
-        (
-            "experiments/28_rough/README.md",
-            "settings for seconds `best` takes {:.1f} s on PPO's card",
-        ),
+        ("docs/results.md", "the day they were chosen it was {:.1f} s"),
+        ("experiments/28_rough/README.md", "there (on another host {:.1f} s, all five)"),
         ("experiments/28_rough/time.md", "it takes 9.3, {:.1f} and 12.8"),
         (ROW_COST, "it is there after {:.1f} s, and after"),
     ],
     "go2 fast PPO's steps to its level, by best's, rough ground": [
-        ("experiments/28_rough/README.md", "for {:.1f} times the steps (2.8 to"),
-        ("experiments/28_rough/ppo.md", "and {:.1f} times to the level"),
-        ("experiments/30_row_cost/runs.md", "for {:.1f} times the steps (2.8 to 7.9)"),
+        ("experiments/28_rough/README.md", "for {:.1f} times the steps (2.6 to"),
+        ("experiments/28_rough/ppo.md", "those with 2048 robots {:.1f} (2.6 to 4.0)"),
+        ("README.md", "for {:.0f} to 12 times the steps"),
     ],
     "go2 crosses": [
         ("README.md", "crosses {:.0%} of all tiles of stairs"),
