@@ -62,6 +62,9 @@ TABLES = {
         *pairs("gc", ["best-rebuilt"], "best-anchored", whole="", end=500),
         *pairs("gc", ["best-unanchored"], "best-rebuilt", whole="", end=500),
     ],
+    "Anchors on an ANYmal-D, once more, on five fresh seeds": [  # a rule of its own, alone
+        *pairs("d", ["five-unanchored"], "five-rebuilt", whole=""),
+    ],
     "Anchors on other robots, beside robots made anew": [
         *pairs("hd", ["unanchored"], "rebuilt", whole=""),
         *pairs("c", ["five-unanchored"], "five-rebuilt", whole=""),

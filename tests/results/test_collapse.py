@@ -259,9 +259,17 @@ def test_anchors_on_other_robots_are_what_ran_on_a_go1_and_branching_is_its_cont
         fields = dict(field.split("=", 1) for field in job.split()[1:])
         assert fields.get("control", "cut") in controls.CONTROLS
     assert len(later) == 12 and not any("seed=720" in job for job in ran.values())
+    again = paper.jobs(HERE / "anchors_again.txt")
+    assert again == {
+        f"five-{x}-d": later[f"{x}-d"].replace(
+            "seed=700 run.num_seeds=3", "seed=720 run.num_seeds=5"
+        )
+        for x in ("rebuilt", "unanchored")
+    }
     words = " ".join((HERE / "README.md").read_text().split())
     assert "five more seeds of an ANYmal-C (720 to 724)" in words
-    assert "**The rule, of the same day**: `branch` beside `cut`, and `cut` beside `tail`" in words
+    assert "five fresh seeds of an ANYmal-D (720 to 724)" in words
+    assert "**The rule, of 2026-11-29**: `branch` beside `cut`, and `cut` beside `tail`" in words
 
 
 @pytest.fixture(scope="module")
@@ -736,8 +744,8 @@ def test_the_pages_say_what_anchors_do_on_other_robots(gpu):
     means = [mean(f"{x}-d") for x in ("unanchored", "rebuilt")]
     less = -anymal.value, -anymal.high, -anymal.low
     holm = f"Holm {found['d'].p:.3f}"
-    text = "without anchors**: {:.1f} of 30, with robots made anew {:.1f}."
-    text += " That is {:.1f} less ({:.1f} to {:.1f}), {}"
+    text = "**Three seeds of an ANYmal-D are worse without anchors**, as expected: {:.1f} of 30,"
+    text += " with robots made anew {:.1f}. That is {:.1f} less ({:.1f} to {:.1f}), {}"
     assert text.format(*means, *less, holm) in words
     four = [
         stats.welch_of(*(table.values(gpu, f"{x}-{robot}", 300) for x in pair))
@@ -747,7 +755,8 @@ def test_the_pages_say_what_anchors_do_on_other_robots(gpu):
         )
     ]
     with_go1 = f"{stats.holm(four)[1]:.3f}"
-    assert f"as a fourth it is {with_go1}. The two sides ran on two hosts." in words
+    assert f"as a fourth it is {with_go1}. Falls" in words
+    assert "The two sides ran on two hosts, the fresh ones on one." in words
     assert f"over three robots, with Go1 as a fourth {with_go1}, and its two sides" in other_page(
         "."
     )
@@ -756,27 +765,35 @@ def test_the_pages_say_what_anchors_do_on_other_robots(gpu):
     )
     shares = [
         mean(f"{x}unanchored-{robot}") / mean(f"{x}rebuilt-{robot}")
-        for x, robot in (("", "h"), ("", "d"), ("", "g"), ("five-", "c"))
+        for x, robot in (("", "h"), ("", "d"), ("", "g"), ("five-", "c"), ("five-", "d"))
     ]
     assert f"each has {min(shares):.2f} or more of what robots made anew have" in words
-    assert max(mean("unanchored-d"), mean("five-unanchored-c")) < 24
-    text = "it has {:.1f} of 30, with robots made anew {:.1f} (three seeds, {} ["
-    assert text.format(*means, holm) in words
-    assert f"without them it keeps {means[0] / means[1]:.2f} of the return" in words
-    assert f"[an ANYmal-D](#anchors-on-other-robots) loses {less[0]:.1f} of 30" in words
+    every = [
+        mean(f"{x}-{robot}")
+        for robot, *both in (
+            ("d", "unanchored", "rebuilt"),
+            *((y, "five-unanchored", "five-rebuilt") for y in "cd"),
+        )
+        for x in both
+    ]
+    text = "no ANYmal's mean is at its level of 24, without anchors or with robots made anew"
+    assert max(every) < 24 and text in words
+    assert f"Three seeds had shown [{less[0]:.1f} less](#anchors-on-other-robots) ({holm})" in words
+    text = "[an ANYmal-D](#anchors-on-other-robots) lost {:.1f} of 30 on three seeds; on five fresh"
+    assert text.format(less[0]) in words
     falls = (table.values(gpu, f"{x}-d", 300, "fall_rate") for x in ("unanchored", "rebuilt"))
     more = stats.difference(*(100 * np.array(x) for x in falls))
-    text = (
-        "Falls are in {:.1f} points more of the episodes ({:.1f} to {:.1f}, looked for afterwards)"
-    )
-    assert text.format(*more) in words
+    text = "Falls are in {:.1f} points more of the episodes ({:.1f} to {:.1f}), and without anchors the"
+    text += " five fresh seeds have {:.1f} more than these ({:.1f} to {:.1f}), both looked for afterwards"
+    fresh = (table.values(gpu, f"{x}unanchored-d", 300) for x in ("five-", ""))
+    assert text.format(*more, *stats.difference(*fresh)) in words
     five = f"{-found['c'].difference.value:.1f} less"
     assert f"**On five new seeds of an ANYmal-C it is open**: {five} ({lower('c')})" in words
-    assert f"an ANYmal-C has {five} on five fresh seeds ({lower('c')})" in words
+    assert f"An ANYmal-C has {five} on five fresh seeds ({lower('c')})" in words
     told = f"Go2 {go2.value:.1f} higher ({-go2.low:.1f} lower to {go2.high:.1f} higher)"
     one = found["c"].difference
     told_c = f"{-one.value:.1f} lower on five fresh seeds ({-one.low:.1f} lower to {one.high:.1f} higher)"
-    told_d = "ANYmal-D {:.1f} lower ({:.1f} to {:.1f}; {})".format(*less, holm)
+    told_d = "on three before {:.1f} lower ({:.1f} to {:.1f}; {})".format(*less, holm)
     assert all(x in other_page(y) for x in (told, told_c, told_d) for y in (".", "paper"))
     more, fewer = (
         stats.difference(*(table.values(gpu, f"{x}-{robot}", 300) for x in ("rebuilt", "tail")))
@@ -788,6 +805,52 @@ def test_the_pages_say_what_anchors_do_on_other_robots(gpu):
     )
     numbers = [more.value, -more.low, more.high, -fewer.value, -fewer.low, fewer.high]
     assert text.format(*numbers) in words
+
+
+def test_the_pages_say_that_five_fresh_seeds_of_an_anymal_d_do_not_show_that_anchors_matter(gpu):
+    """By a rule of its own, alone; and what was looked for afterwards, at iteration 100."""
+    words = other_page("19_collapse")
+    ((pair, one),) = table.found(
+        gpu, table.TABLES["Anchors on an ANYmal-D, once more, on five fresh seeds"]
+    ).items()
+    assert pair == table.Pair("d", "five-unanchored", "five-rebuilt", "", 300)
+
+    def each(column, at):
+        return [table.values(gpu, f"{x}-d", at, column) for x in (pair.job, pair.beside)]
+
+    both = each("return", 300)
+    assert one.p == stats.welch_of(*both) > table.ALPHA and one.verdict == "open"
+    less = one.difference
+    gap = f"({-less.low:.1f} less to {less.high:.1f} more, p {one.p:.2f})"
+    without, anew = (f"{np.mean(x):.1f}" for x in both)
+    text = f"{without} of 30, with robots made anew {anew}, {-less.value:.1f} less {gap}."
+    assert f"needs anchors is not shown**: without it has {text} We expected otherwise." in words
+    beyond = -less.low - table.NEAR["d"]
+    assert 0 < beyond and less.high < table.NEAR["d"]
+    assert f"is open: the interval reaches {beyond:.2f} beyond {table.NEAR['d']}." in words
+    text = f"an ANYmal-D has {without} of 30 on five fresh seeds, with robots made anew {anew}:"
+    assert f"{text} {-less.value:.1f} less {gap}, so open." in words
+    back, falls = stats.difference(*each("return", 100)), each("fall_rate", 100)
+    text = "at iteration 100 it has {:.1f} less ({:.1f} less to {:.1f} more),"
+    text += " and falls are in {:.0f} instead of {:.0f} % of the episodes"
+    text += " ({:.1f} points more, {:.1f} to {:.1f}). Go1 and Go2 return more then."
+    falls = [100 * np.array(x) for x in falls]
+    numbers = [-back.value, -back.low, back.high, *map(np.mean, falls), *stats.difference(*falls)]
+    assert text.format(*numbers) in words
+    for robot in "gh":
+        then = [np.mean(table.values(gpu, f"{x}-{robot}", 100)) for x in ("unanchored", "rebuilt")]
+        assert then[0] > then[1]
+    # by the rules of the page, of every robot: the fresh seeds of this one count, not the three before
+    others = table.found(gpu, table.TABLES["Anchors on other robots, beside robots made anew"])
+    assert {pair.robot for pair, x in others.items() if x.verdict == "worse"} == {"d"}
+    first = table.found(gpu, table.TABLES["Anchoring"])
+    assert not any(x.verdict == "worse" for pair, x in first.items() if "unanchored" in pair.job)
+    assert "four rows is shown on no robot** at iteration 300" in words
+    assert "; the fresh ones count." in words
+    told = f"ANYmal-D {-less.value:.1f} lower on five fresh seeds ({-less.low:.1f} lower to"
+    told += f" {less.high:.1f} higher; p {one.p:.2f}), on three before"
+    verdict = "that anchors matter with 4 rows: **not shown**; fresh seeds of an ANYmal-D count,"
+    assert all(x in other_page(y) for x in (told, verdict) for y in (".", "paper"))
 
 
 def test_the_pages_say_what_tails_that_branch_do_on_a_gpu(gpu):
@@ -836,21 +899,25 @@ def test_each_batch_has_the_jobs_that_the_page_says(gpu):
     names = {line.split()[0] for line in (HERE / "jobs.txt").read_text().splitlines()}
     anchors = paper.jobs(HERE / "anchors.txt")
     fifth = {"tail-h", "rebuilt-h", "unanchored-h", "tail-d", "rebuilt-d"}
-    new = {**anchors, **paper.jobs(HERE / "eight.txt")}
-    assert names | {*new} == set(gpu) and len(anchors) == 12 and len(new) == 18
+    seventh = paper.jobs(HERE / "anchors_again.txt")
+    new = {**anchors, **paper.jobs(HERE / "eight.txt"), **seventh}
+    assert names | {*new} == set(gpu) and len(anchors) == 12 and len(seventh) == 2
+    assert len(new) == 20
     for name, job in new.items():
         first, many = {"five": (720, 5), "eight": (710, 8)}.get(name.split("-")[0], (700, 3))
         assert [*gpu[name]] == [100, 200, 300]
         for rows in gpu[name].values():
             assert [int(row["seed"]) for row in rows] == [*range(first, first + many)]
-            told = job, "32eca169" if name in fifth else "05f6d8fb", "NVIDIA H200"
+            commit = "2a51cc3d" if name in seventh else "05f6d8fb"
+            told = job, "32eca169" if name in fifth else commit, "NVIDIA H200"
             assert {(row["job"], row["commit"][:8], row["device"]) for row in rows} == {told}
     told = (
         "five of the twelve jobs of [`anchors.txt`](#anchors-on-other-robots) on one of two H200 of"
     )
     told += " one more host, 2026-11-29, at 32eca169, four at once (batch `fifth`); its other seven"
-    told += " and the six of `eight.txt` on four H200 of one host, 2026-11-29, at 05f6d8fb (batch `sixth`)"
-    assert told in words
+    told += " and the six of `eight.txt` on four H200 of one host, 2026-11-29, at 05f6d8fb (batch `sixth`);"
+    told += " both of `anchors_again.txt` at once on one of two H200 of one host, 2026-11-30, at 2a51cc3d"
+    assert f"{told} (batch `seventh`)" in words
     assert "`five-`: 720 to 724; `eight-`: 710 to 717" in words
     batches = {
         name: {row["batch"] for rows in x.values() for row in rows} for name, x in gpu.items()
@@ -864,7 +931,10 @@ def test_each_batch_has_the_jobs_that_the_page_says(gpu):
     later |= {f"robots1024-{x}-d" for x in table.TAILS}
     assert {name for name, batch in batches.items() if batch == {"third"}} == later
     assert {name for name, batch in batches.items() if batch == {"fifth"}} == fifth
-    assert {name for name, batch in batches.items() if batch == {"sixth"}} == {*new} - fifth
+    assert {name for name, batch in batches.items() if batch == {"seventh"}} == {*seventh}
+    assert {name for name, batch in batches.items() if batch == {"sixth"}} == (
+        {*new} - fifth - {*seventh}
+    )
     assert all(len(batch) == 1 for batch in batches.values())
     cut = table.read(HERE / "results/cut.csv.xz")
     eight = {name: cut.pop(name) for name in [*cut] if name.startswith("eight-")}
