@@ -43,6 +43,7 @@ GOALS = {"level": "to the level", "walks": "to a walk"}  # of a Run
 BESIDE = {  # where how many seeds walk would cover a mark: points from its own
     ("go1.exact", "best"): (-7, 0),
     ("anymal_c.exact", "ppo"): (0, 9),
+    ("go1.laptop", "best"): (-7, 0),
 }
 ASIDE = {"g1.warp": -3, "go1.jax": 4}  # points of a number from its mark, where two would touch
 
@@ -60,7 +61,9 @@ def main():
     for (goal, words), (seconds, steps) in zip(GOALS.items(), axes, strict=True):
         computed(seconds, found, goal)
         for number, (ms, (best, ppos)) in enumerate(zip(costs, pairs, strict=True), 1):
-            fast, few = table.fastest_beside(best, ppos), table.sparing(ppos)
+            if goal == "walks" and best.place in table.STAYS:
+                continue
+            fast, few = table.fastest_beside(best, ppos), table.fewest(found, best, ppos)
             if goal == "walks":
                 fast, few = (table.walking(run, ppos, k) for run, k in ((fast, 2), (few, 1)))
             pair(seconds, ms, best, fast, goal, 2, number)
@@ -80,7 +83,7 @@ def main():
     for axis in axes.flat:
         pictures.log(axis, which="x")
         pictures.log(axis)
-    axes[0, 0].set(xlim=(0.12, 130), ylim=(0.25, 300))
+    axes[0, 0].set(xlim=(0.12, 130), ylim=(0.17, 300))
     axes[0, 1].set_ylim(0.08, 100)
     pictures.outer(axes, "ms of a simulated row of 1024 robots")
     legend(page, places)
@@ -188,7 +191,7 @@ def legend(page, places: dict[str, int]) -> None:
     keys["no PPO walks by there"] = Line2D([], [], color=other, **NONE)
     keys["steps of the PPO on the left"] = Line2D([], [], ls="", **OTHER)
     keys["computed: Go1, best"] = line(colour, "-")
-    keys["computed: PPO; a row of 4096 costs 1.35 times"] = line(other, DASHES["a GPU"])
+    keys["computed: PPO; a row of 2048 costs 1.16 times"] = line(other, DASHES["a GPU"])
     keys["computed: PPO; a row costs as its robots"] = line(other, DASHES["two cores"])
     numbers = [
         mark(pictures.BLACK, f"${number}$", 6 if number < 10 else 9, mew=0.3)

@@ -6,9 +6,9 @@
 Runs are those of results/alone.csv.xz, one at a time on their device, and those of 25_humanoid and 04_laptop
 that were. A name is PLACE.METHOD: a place is a robot, task and engine; METHOD is `best`, one with settings
 for seconds (`tune-`: on the seeds among which they are chosen), or `ppo` with its robots, at some places x
-its rows (`-walk`: tuned to walk, `-often`: evaluated as often as `best` for seconds). `again-`: the same
-setting on new seeds, by a rule set before. BATCH says card and date; the clock of a seed that ran more than once is the median. What the level is, and a walk:
-dynappo/policy/walks.py.
+its rows (`-walk`: tuned to walk, `-often`: evaluated as often as `best` for seconds). A job `again-METHOD` is
+that setting on new seeds, by a rule set before. BATCH says card and date; the clock of a seed that ran more
+than once is the median. What the level is, and a walk: dynappo/policy/walks.py.
 
 Computed: `later` gives a run's seconds if its rows cost more, from its own clock and rows. `break_even` is
 the cost at which `best` and the fastest PPO take equally long; "for seconds": a setting for seconds and PPO.
@@ -57,7 +57,10 @@ BUSY = {("PPO, 256", "900"), ("PPO, 2048", "900"), ("PPO, 2048", "901")}  # left
 POWERS = {"a GPU": math.log(2.98 / 2.2) / math.log(4), "two cores": 1.0}
 MANY, OFTEN = 3, 5  # seeds of a choice, and of an interval
 TUNING = "tune-"  # so begin settings of `best` on seeds 0 to 2, among which one is chosen
-AGAIN = "again-"  # and jobs that are those without it, on new seeds
+AGAIN = "again-"  # so begin jobs that run a setting once more, on new seeds
+STAYS = {
+    "go2.rough"
+}  # where walks are not compared: they hang on how often and how long one is evaluated
 COSTS = np.geomspace(0.1, 100, 601)  # ms
 
 
@@ -282,13 +285,15 @@ def settings(found: list[Run], place: str) -> tuple[Run, list[Run]] | None:
     return max(both, key=worth, default=None)
 
 
-def of_other_days(found: list[Run], best: Run, ppos: list[Run]) -> list[Run]:
-    """Other settings of PPO than `ppos`, of other days at the place of `best`, on today's task and that kind
-    of card, with as many seeds as an interval needs, more than half of which get there."""
-    here = [run for run in found if run.place == best.place and run.method.startswith("ppo")]
-    some = [run for run in here if day(run)[0] == day(best)[0] and run.batch not in (H100, H200)]
-    some = [run for run in some if run.method not in {ppo.method for ppo in ppos}]
-    return [run for run in some if len(run.level) >= OFTEN and there(run) > 0.5]
+def fewest(found: list[Run], best: Run, ppos: list[Run]) -> Run:
+    """The setting of PPO of fewest steps: of `ppos`, and of those that ran on other days alone, at the place
+    of `best` and on its kind of card, with as many seeds as an interval needs, more than half of which get
+    there. Not of 2026-11-25, whose task was another."""
+    named = {ppo.method for ppo in ppos}
+    some = [run for run in found if run.place == best.place and day(run)[0] == day(best)[0]]
+    some = [run for run in some if run.method.startswith("ppo") and run.method not in named]
+    some = [run for run in some if len(run.level) >= OFTEN and there(run) > 0.5]
+    return sparing([*ppos, *(run for run in some if run.batch != H200)])
 
 
 def beside(some: list[Run], best: Run) -> list[Run]:
@@ -434,7 +439,7 @@ def compared(found: list[Run]) -> str:
             continue
         best, ppos = pair
         fast, ms = fastest_beside(best, ppos), cost(found, best)
-        few = sparing([*ppos, *of_other_days(found, best, ppos)])
+        few = fewest(found, best, ppos)
         times = [run.level[:, 2] for run in (fast, best)]
         more = "at least " * (there(few) < 1) + ratio(steps(few), steps(best))
         quick = fastest(variants(found, best))
@@ -443,20 +448,25 @@ def compared(found: list[Run]) -> str:
         named += host_beside(quick, best)
         cells += ["-" if quick is best else f"{interval(quick.level[:, 2])} ({named})"]
         cells += [f"{interval(times[0])} ({fast.method})"]
-        cells += [ratio(*times), f"{more} ({few.method})"]
+        cells += [ratio(*times), f"{more} ({few.method}{host_beside(few, best)})"]
         here = [at_cost(found, ppo, ms) for ppo in ppos]
         equal = even(best, here, ms) + for_seconds(found, quick, ppos) * (quick is not best)
         walking = [at_cost(found, to_walk(ppo), ms) for ppo in ppos]
-        lines.append([*cells, equal, even(to_walk(best), walking, ms)])
+        walk = "-" if place in STAYS else even(to_walk(best), walking, ms)
+        lines.append([*cells, equal, walk])
     return paper.markdown(head, lines)
 
 
 def for_seconds(found: list[Run], quick: Run, ppos: list[Run]) -> str:
     """Where a setting of `best` for seconds and PPO break even: those settings of PPO that ran on its own
-    host with as many seeds as an interval needs, else `ppos`, with the setting's rows at their cost."""
+    host with as many seeds as an interval needs, if the fastest of `ppos` is one of them, else `ppos`; all
+    rows at the cost of its host, or of that of the fastest."""
     own = [run for run in found if run[:2] == quick[:2] and run.method.startswith("ppo")]
-    ppos = [run for run in own if len(run.level) >= OFTEN] or ppos
-    ms = cost(found, ppos[0])
+    own = [run for run in own if len(run.level) >= OFTEN]
+    fast = fastest(ppos)
+    alike = fast.method in {run.method for run in own}
+    ms = cost(found, quick if alike else fast)
+    ppos = [at_cost(found, ppo, ms) for ppo in (own if alike else ppos)]
     return f"; for seconds {even(at_cost(found, quick, ms), ppos, ms)}"
 
 
@@ -472,9 +482,8 @@ def even(best: Run, ppos: list[Run], ms: float) -> str:
         return "-"
     at, low, high = break_even(best, able[1:], ms, power_of(best.place))
     # no smaller cost is computed, and no larger one
-    least = "below 0.1" if low == COSTS[0] else f"{low:.2g}"
-    most = "over 100" if high == COSTS[-1] else f"{high:.2g}"
-    return f"{at:.2g} ({least} to {most})"
+    at, low = ("below 0.1" if ms == COSTS[0] else f"{ms:.2g}" for ms in (at, low))
+    return f"{at} ({low} to {'over 100' if high == COSTS[-1] else f'{high:.2g}'})"
 
 
 def ratio(one, other) -> str:

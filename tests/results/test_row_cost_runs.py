@@ -55,6 +55,14 @@ def test_seconds_are_counted_to_the_level_and_until_it_walks():
     np.testing.assert_allclose(run.level, [[20, 20_000, 60], [20, 20_000, 120]])
     np.testing.assert_allclose(run.walks, [[40, 40_000, 120], [40, 40_000, 240]])
     assert table.cells(run.walks) == ["2", "0.04", "180.00"]
+    # once more, by a rule set before: the same setting
+    for job, method in (
+        ("best", "best"),
+        ("ppo2048-walk", "ppo2048-walk"),
+        ("n2048", "best-n2048"),
+    ):
+        (again,) = table.of_rows([row | {"name": f"go1.kernel.again-{job}"} for row in found])
+        assert again.method == method and again.place == "go1.kernel"
     low = about | {"seed": "2", "iteration": 1, "sim_steps": 1, "seconds": 1}
     (run,) = table.of_rows([*found, low | {"return": 30.0, "fall_rate": 0.0}])
     assert np.isnan(run.walks[2]).all() and table.cells(run.walks)[0] == "2 of 3"
@@ -180,9 +188,31 @@ def test_seconds_where_a_row_costs_more_and_where_two_runs_break_even():
     cut = beside._replace(level=five[:2], walks=five[:2])
     assert "; for seconds 1.5 (" in table.compared([*first, there, cut])
     assert "; for seconds" not in table.compared(first)
-    # no difference is shown at any cost
+    # unless the fastest PPO did not: 1.5 + 0.1 (c - 1) = 0.9 + 1.16 (c - 1)
+    sooner = fast._replace(method="ppo2048-walk", level=fast.level * [1, 1, 0.9])
+    slower = beside._replace(level=five * [1, 1, 3])
+    assert "; for seconds 1.6 (" in table.compared([*first, sooner, there, slower])
+    # no difference is shown at any cost, and from the least on `best` is sooner
     alike = run("ppo1024", 1024, 100, 2.01)
-    assert table.even(best, [alike], 1.0) == "0.1 (below 0.1 to over 100)"
+    assert table.even(best, [alike], 1.0) == "below 0.1 (below 0.1 to over 100)"
+    # PPO of fewest steps may be of another day, with five seeds, but not of 2026-11-25, and says so
+    spare = few._replace(batch="G, day 3", method="ppo128", level=five * [1, 0.1, 1])
+    assert table.fewest([*found, spare], best, [fast, few]) is spare
+    assert " (ppo128, day 3) |" in table.compared([*found, spare])
+    for unfit in (
+        spare._replace(level=five[:4]),
+        spare._replace(batch="H, day 3"),
+        spare._replace(place="go1.warp"),
+        spare._replace(method="ppo256"),
+        spare._replace(method="best-r2"),
+        spare._replace(level=spare.level * [[1], [1], [np.nan], [np.nan], [np.nan], [1]]),
+    ):
+        assert table.fewest([*found, unfit], best, [fast, few]) is few
+    then = [x._replace(batch=table.H200) for x in (best, spare)]
+    assert table.fewest(then, then[0], [few]) is few
+    # where walks are not compared
+    rough = [x._replace(place="go2.rough") for x in found]
+    assert table.compared(found).endswith(") |") and table.compared(rough).endswith("| - |")
     # of PPO the host with five seeds, though one of them does not get there: it counts with its whole run
     level = np.concatenate([few.level, few.level])
     level[0] = np.nan
@@ -205,13 +235,13 @@ def test_jobs_of_the_row_costs_are_valid_and_of_places_that_have_a_name():
     measure = script(f"{ROW_COST}/run")
     places = script(f"{ROW_COST}/plot").LABELS
     lines = (EXPERIMENTS / ROW_COST / "jobs.txt").read_text().splitlines()
-    assert len({line.split()[0] for line in lines}) == len(lines) == 75
+    assert len({line.split()[0] for line in lines}) == len(lines) == 77
     for line in lines:
         name, job, *fields = line.split()
         place, _, method = name.rpartition(".")
         read = measure.read(job, fields)
         assert place in places and (read.engine == "mujoco_warp") == place.endswith("warp")
-        assert 10 <= len(measure.ends(read.config)) <= 36
+        assert 10 <= len(measure.ends(read.config)) <= (60 if method.endswith("-often") else 36)
         uses_model = schedule.uses_model(read.config)
         assert uses_model != re.sub("^(again|newer|new)-", "", method).startswith("ppo")
         assert read.seeds >= 5 or method.startswith("tune")

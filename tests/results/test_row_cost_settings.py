@@ -104,13 +104,8 @@ def test_the_grid_of_rounds_and_robots_of_a_go1_is_as_the_page_of_settings_says(
         f"To a walk it takes {its[0]:.2f} and {its[1]:.2f} s: {walks[0].value:.2f} s less than these"
         f" {own:.2f} ({walks[0].low:.2f} to {walks[0].high:.2f}), and {walks[1].value:.2f}"
         f" ({walks[1].low:.2f} to {walks[1].high:.2f}), which is not shown.",
-        "(two rounds, 4096 robots, three tuning seeds) that is shown on one host of two.",
     ):
         assert words in text, words
-    words = "takes {:.2f} s on three tuning seeds of a third host: {:.2f} s more than those {:.2f} ({:.2f} to"
-    words += " {:.2f}), {:.2f} more than PPO on the second ({:.2f} to {:.2f})."
-    words = words.format(own, walks[1].value, its[1], *walks[1][1:], *walks[0])
-    assert f"To a walk the nearest, two rounds with 4096, {words}" in row_cost_words("README")
     # beside PPO of both hosts, to the level and to a walk
     gaps = {
         one.method: [
@@ -137,11 +132,11 @@ def test_the_grid_of_rounds_and_robots_of_a_go1_is_as_the_page_of_settings_says(
     gap = stats.difference(quick.walks[:, 2], beside.walks[:, 2])
     words = f"walks {gap.value:.2f} s before two rounds ({gap.low:.2f} to {gap.high:.2f})."
     assert f"PPO with 2048 robots is sooner than both, and {words}" in text
-    assert "(but three rounds with 4096), makes a tail pay to the level there." in row_cost_words(
-        "README"
-    )
+    words = "No setting that ran, with one to three rounds and 512 to 4096 robots (but three rounds with"
+    words += " 4096),"
+    assert f"{words} makes a tail pay there." in row_cost_words("README")
     assert not any(key[0] == last and key[1].startswith("ppo") for key in run)
-    assert not any("4096" in key[1] and key[1].startswith("best-") for key in run)
+    assert not any(key[1].endswith(("best-n4096", "tune-n4096")) for key in run)
     assert (min(more), min(x.walks[:, 2].mean() for x in tuned if x.robots > 512)) == (
         level["r2n2048"],
         many.walks[:, 2].mean(),
@@ -160,7 +155,7 @@ def test_the_grid_of_rounds_and_robots_of_a_go1_is_as_the_page_of_settings_says(
     }
     found = table.runs()
     for place, words in (
-        ("go1.kernel", "- **Break-even** would be at {} (host B, two rounds and 2048 robots)."),
+        ("go1.kernel", "- **Break-even** would be at {} (two rounds and 4096 robots)."),
         ("g1.kernel", "- **Break-even** on a G1 would be at {}, which is what its row costs."),
     ):
         best, ppos = table.settings(found, place)
@@ -173,26 +168,32 @@ def test_the_grid_of_rounds_and_robots_of_a_go1_is_as_the_page_of_settings_says(
 
 
 def test_settings_for_seconds_with_mujoco_warp_are_as_the_pages_say():
-    """Two settings with 2048 robots beside `best` on one host, PPO of two hosts; which day README.md has."""
+    """2026-11-29: two settings with 2048 robots beside `best` on one host. The faster ran again on new"
+    " seeds."""
     table = script(f"{ROW_COST}/table")
     found = table.runs()
     run = {one[1:3]: one for one in found if one.place == "go1.warp"}
-    first, host = "H200, 2026-11-27", "H200, 2026-11-29, second host"
+    first, host, new = "H200, 2026-11-27", "H200, 2026-11-29, second host", "H200, 2026-11-30"
     best, three, two, cut = (
         run[host, x] for x in ("best", "best-n2048", "best-r2n2048", "ppo2048")
     )
-    before, ppo = run[first, "best"], run[first, "ppo2048"]
-    assert [len(x.level) for x in (best, three, two, cut, before, ppo)] == [5, 5, 5, 2, 5, 5]
+    before = run[first, "best"]
+    fresh = [run[new, x] for x in ("best-n2048", "best", "ppo2048", "ppo2048-walk")]
+    assert [len(x.level) for x in (best, three, two, cut, before)] == [5, 5, 5, 2, 5]
     settings, page = (
         row_cost_words("settings"),
         (EXPERIMENTS / ROW_COST / "settings.md").read_text(),
     )
     lines = []
     for label, one in (
-        ("three rounds, 2048 robots", three),
+        ("2026-11-30: three rounds, 2048 robots", fresh[0]),
+        ("`best`: three rounds, 1024 robots", fresh[1]),
+        ("PPO, 2048 robots", fresh[2]),
+        ("PPO, 2048 robots, tuned since", fresh[3]),
+        ("2026-11-29: three rounds, 2048 robots", three),
         ("two rounds, 2048 robots", two),
-        ("`best`: three rounds, 1024 robots", best),
-        ("PPO, 2048 robots (two seeds)", cut),
+        ("`best`", best),
+        ("PPO, 2048 robots", cut),
     ):
         assert np.isfinite(one.walks).all()
         cells = [
@@ -200,7 +201,7 @@ def test_settings_for_seconds_with_mujoco_warp_are_as_the_pages_say():
             for some in (one.level, one.walks)
             for part in (table.interval(some[:, 2]), f"{some[:, 1].mean() / 1e6:.2f}")
         ]
-        lines.append(f"| {label} | " + " | ".join(cells) + " |")
+        lines.append(f"| {label} | {len(one.level)} | " + " | ".join(cells) + " |")
     assert "\n".join(lines) in page
 
     def gap(one, other, goal="level"):
@@ -209,117 +210,47 @@ def test_settings_for_seconds_with_mujoco_warp_are_as_the_pages_say():
     def times(one, other, column=2):
         return stats.ratio(one.level[:, column], other.level[:, column])
 
-    def p(one, other, goal="level"):
-        return stats.welch_of(*(getattr(x, goal)[:, 2] for x in (one, other)))
+    def p(one, other):
+        return stats.welch_of(*(x.level[:, 2] for x in (one, other)))
 
     def span(one, digits=2):
         return "({:.{d}f} to {:.{d}f})".format(*one[1:], d=digits)
 
     sooner = [gap(best, x) for x in (three, two)]
-    walk = [gap(best, x, "walks") for x in (three, two)]
+    walk = gap(best, two, "walks")
     values = [p(best, x) for x in (three, two)]
     holm = 2 * min(values)
-    assert values[0] < 0.05 < holm and max(values) > 0.05 and sooner[0].low > 0 > sooner[1].low
-    assert all(one.low < 0 < one.high for one in walk)
-    both = before._replace(level=np.concatenate([best.level, before.level]))
-    ten = [gap(both, x) for x in (three, two)]
-    every = [10 * (x.level[:, 2] / x.level[:, 0]).mean() for x in (three, two, best)]
-    assert f"{every[1]:.2f}" == f"{every[2]:.2f}"
-    rows = [(x.level[:, 1] / x.robots).mean() for x in (three, two, best)]
-    longer = [times(ppo, x) for x in (three, two, best)]
-    more = times(ppo, three, 1)
+    assert values[0] < 0.05 < holm and max(values) > 0.05 and walk.low < 0 < walk.high
+    many, usual, ppo, _ = fresh
+    later = gap(usual, many), gap(usual, many, "walks")
+    assert p(usual, many) < 0.05 and later[1].low < 0 < later[1].high
+    every = [10 * (x.level[:, 2] / x.level[:, 0]).mean() for x in (many, usual)]
+    rows = [(x.level[:, 1] / x.robots).mean() for x in (many, usual)]
     for words in (
-        f"{sooner[0].value:.2f} s before `best` {span(sooner[0])[:-1]}, Welch's p {values[0]:.3f}):"
-        f" {around(times(three, best), 2, ' times the seconds')}, for"
-        f" {around(times(three, best, 1), 1, ' times the steps')}.",
-        f"for the two settings p is {holm:.3f}, so that they are faster is not shown.",
-        f"{sooner[1].value:.2f} s before `best` {span(sooner[1])[:-1]}, p {values[1]:.2f}):"
-        f" {around(times(two, best), 2, ' times the seconds')}, for"
-        f" {around(times(two, best, 1), 1, ' times the steps')}.",
-        f"Three rounds are {around(gap(two, three), 2, ' s before two')}.",
-        f"{ten[0].value:.2f} s sooner {span(ten[0])[:-1]}, p {p(both, three):.3f}) and two {ten[1].value:.2f}"
-        f" {span(ten[1])[:-1]}, p {p(both, two):.3f})",
-        f"on the first host of 2026-11-27, {both.level[:, 2].mean():.2f} s, three rounds",
-        f"{walk[0].value:.1f} s before `best` {span(walk[0], 1)[:-1]}, p {p(best, three, 'walks'):.2f}) with"
-        f" three rounds and {walk[1].value:.1f} {span(walk[1], 1)[:-1]}, p {p(best, two, 'walks'):.2f}) with"
-        " two.",
-        "three rounds need {:.0f} of 2048 robots, two {:.0f}, and `best` {:.0f} of 1024.".format(
-            *rows
-        ),
-        f"takes {ppo.level[:, 2].mean():.2f} s on the first host of 2026-11-27 (five seeds):"
-        f" {longer[0].value:.1f} times as long as three rounds with 2048 robots {span(longer[0], 1)}, for"
-        f" {around(more, 1, ' times the steps')}, {longer[1].value:.1f} times as long as two"
-        f" {span(longer[1], 1)} and {longer[2].value:.1f} times as long as `best` here {span(longer[2], 1)}.",
-        f"cut off after two seeds, after {cut.level[:, 2].mean():.2f} s",
-        f"take {every[0]:.2f} s until then with three rounds and 2048 robots, {every[1]:.2f} with two and"
-        " with `best`.",
-        f"a row of 2048 takes {two.row:.1f} ms, one of 1024 {best.row:.1f}.",
-        f"it takes {three.level[:, 2].mean():.2f} s to the level with 2048 robots, not"
-        f" {best.level[:, 2].mean():.2f}; corrected for both settings that ran, this is not shown to be"
-        " faster.",
+        f"at the level {around(later[0], 2, ' s before it')[:-1]}, p {p(usual, many):.3f}),"
+        f" {around(times(many, usual), 2, ' times the seconds')}, for"
+        f" {around(times(many, usual, 1), 1, ' times the steps')}. On 2026-11-29 it was"
+        f" {around(sooner[0], 2, ' s')}, with Holm's correction for the two settings p {holm:.3f}.",
+        f"no difference is shown: {around(later[1], 1, ' s before `best`')}.",
+        f"{sooner[1].value:.2f} s before `best` {span(sooner[1])[:-1]}, p {values[1]:.2f}), for"
+        f" {around(times(two, best, 1), 1, ' times the steps')}. Three rounds were"
+        f" {around(gap(two, three), 2, ' s before two')}. That fewer rounds walk sooner is not shown:"
+        f" {around(walk, 1, ' s before `best`')}.",
+        f"three rounds need {rows[0]:.0f} of 2048 robots, and `best` {rows[1]:.0f} of 1024.",
+        f"takes {around(times(ppo, many), 1, ' times as long as three rounds with as many')}, for"
+        f" {times(ppo, many, 1).value:.1f} times the steps ({times(ppo, many, 1).low:.1f} to"
+        f" {times(ppo, many, 1).high:.0f}).",
+        f"take {every[0]:.2f} s until then with 2048 robots and {every[1]:.2f} with `best`.",
+        f"a row of 2048 takes {many.row:.1f} ms, one of 1024 {usual.row:.1f}.",
+        f"{many.level[:, 2].mean():.2f} s to the level, not {usual.level[:, 2].mean():.2f}.",
     ):
         assert words in settings, words
-    assert f"so its {three.level[:, 2].mean():.2f} s are flattered a little." in settings
-    # the table's row keeps the day on which PPO has five seeds; `best` for seconds is beside these
     chosen, ppos = table.settings(found, "go1.warp")
     quick = table.fastest(table.variants(found, chosen))
-    assert (chosen, quick) == (before, three) and ppo in ppos and cut not in ppos
+    assert (chosen, quick) == (usual, many) and ppo in ppos
     even = table.for_seconds(found, quick, ppos).removeprefix("; for seconds ")
-    assert (
-        f"Break-even would be at {even.replace(' (', ' ms (')}, beside PPO of 2026-11-27."
-        in settings
-    )
-    # seed by seed, by SciPy's test of pairs
-    pairs = [scipy_stats.ttest_rel(best.level[:, 2], x.level[:, 2]) for x in (three, two)]
-    spans = [one.confidence_interval(0.95) for one in pairs]
-    corrected = stats.holm([one.pvalue for one in pairs])
-    assert f"{corrected[0]:.3f}" == f"{corrected[1]:.3f}"
-    kernel = [
-        next(x for x in found if x[:3] == ("go1.kernel", batch, "best")).level[:, 2]
-        for batch in (first, f"{first}, second host")
-    ]
-    alike = [
-        np.corrcoef(*pair)[0, 1]
-        for pair in (
-            (before.level[:, 2], best.level[:, 2]),
-            (before.level[:, 0], best.level[:, 0]),
-            kernel,
-        )
-    ]
-    words = "three rounds are {:.2f} s sooner ({:.2f} to {:.2f}, paired t test, p {:.3f}) and two {:.2f}"
-    words += (
-        " ({:.2f} to {:.2f}, p {:.3f}), which Holm's correction would call shown (both {:.3f})."
-    )
-    cells = [
-        (gap.value, *span, one.pvalue) for gap, span, one in zip(sooner, spans, pairs, strict=True)
-    ]
-    assert words.format(*cells[0], *cells[1], corrected[0]) in settings
-    words = (
-        "(`best` twice on these: r {:.2f} of seconds, {:.2f} of iterations; with our kernel {:.2f};"
-    )
-    assert words.format(*alike) in settings
-    readme = row_cost_words("README")
-    words = "it takes {:.2f} s on another host, where `best` takes {:.2f}: {:.2f} s less {}, for {:.1f} times"
-    means = [x.level[:, 2].mean() for x in (three, best)]
-    ratio = times(three, best, 1).value
-    assert words.format(*means, sooner[0].value, span(sooner[0]), ratio) in readme
-    for words in (
-        f"It is the faster of two settings. Corrected for both, p is {holm:.3f}, so a difference is not",
-        f"on 2026-11-29 [PPO had two](runs.md#go1) beside `best`, which took {means[1]:.2f} s, and five with",
-        f"of `best` for seconds two of five ({cut.level[:, 2].mean():.1f} s)",
-        "two rounds with 2048 robots {:.2f} s, `best` {:.2f}, PPO {:.2f}; with MuJoCo Warp {:.2f} and"
-        " {:.2f};".format(
-            *(
-                next(x for x in found if x[:3] == key).level[:, 2].mean()
-                for key in (
-                    ("go1.kernel", f"{first}, second host", method)
-                    for method in ("best-r2n2048", "best", "ppo2048")
-                )
-            ),
-            *means,
-        ),
-    ):
-        assert words in readme, words
+    even = even.replace("0.5 ", "0.50 ")
+    assert f"- **Break-even** would be at {even.replace(' (', ' ms (')}." in settings
     again, walked = gap(before, best), gap(best, before, "walks")
     runs = row_cost_words("runs")
     for words in (
@@ -332,11 +263,176 @@ def test_settings_for_seconds_with_mujoco_warp_are_as_the_pages_say():
         assert words in runs, words
     kernel = next(x for x in found if x[:3] == ("go1.kernel", first, "best"))
     at = table.later(kernel, table.cost(found, kernel), best.row, table.power_of("go1.warp"))
-    slow, all_ten = (stats.difference(x.level[:, 2], at) for x in (best, both))
+    both = np.concatenate([best.level, before.level])[:, 2]
+    slow, all_ten = (stats.difference(x, at) for x in (best.level[:, 2], both))
     text = f"it took {table.interval(best.level[:, 2])} s: {slow.value:.2f} longer than computed"
     text += f" {span(slow)}, and over all ten runs {all_ten.value:.2f} {span(all_ten)}."
     assert text in row_cost_words("computed")
-    assert f"2048 robots (another host) it would be {even}." in row_cost_words("computed")
+    own = table.cost(found, usual)
+    evens = [
+        table.even(way(usual), [way(x) for x in ppos], own) for way in (lambda x: x, table.to_walk)
+    ]
+    text = f"of 2026-11-30 is higher, {evens[0].replace(' (', ' ms (')}; to a walk {evens[1]}. With three"
+    assert f"{text} rounds and 2048 robots it would be {even}." in row_cost_words("computed")
+
+
+def test_what_the_pages_say_of_the_new_seeds_of_2026_11_30_is_so():
+    """By the rules set before: one Welch test with MuJoCo Warp, two with our kernel, by Holm, and which PPO
+    has a row of README.md. How many such runs would show what five seeds had; that no first seed was slow."""
+    table, batch = script(f"{ROW_COST}/table"), "H200, 2026-11-30"
+    found, jobs = table.runs(), of_host(table, batch)
+    asked = (EXPERIMENTS / ROW_COST / "jobs.txt").read_text().splitlines()
+    jobs = {name: seeds for name, seeds in jobs.items() if name.startswith("go1.")}
+    assert {*jobs} == {line.split()[0] for line in asked if ".again-" in line}
+    slower, ms = {}, {}  # % of the first two seeds; ms of an iteration, by seed
+    for name, seeds in jobs.items():
+        rows = [row for some in seeds.values() for row in some]
+        count = 10 if name in ("go1.warp.again-best", "go1.warp.again-n2048") else 5
+        assert [*map(int, seeds)] == [*range(1110, 1110 + count)]
+        assert {f"{name} {row['job']}" for row in rows} <= {*asked}
+        assert {(row["commit"][:8], row["device"]) for row in rows} == {("2a51cc3d", "NVIDIA H200")}
+        assert all(int(row["iteration"]) % 10 == 0 for row in rows)
+        ms[name] = [1e3 * float(x[-1]["seconds"]) / int(x[-1]["iteration"]) for x in seeds.values()]
+        slower[name] = 100 * (np.mean(ms[name][:2]) / np.mean(ms[name][2:]) - 1)
+    warp, kernel = (
+        {one.method: one for one in found if one[:2] == (f"go1.{x}", batch)}
+        for x in ("warp", "kernel")
+    )
+    assert all(np.isfinite([x.level, x.walks]).all() for x in (*warp.values(), *kernel.values()))
+
+    def gap(one, other, goal="level"):
+        return stats.difference(*(getattr(x, goal)[:, 2] for x in (one, other)))
+
+    def mean(one, goal="level"):
+        return getattr(one, goal)[:, 2].mean()
+
+    best, many, ppo, tuned = (warp[x] for x in ("best", "best-n2048", "ppo2048", "ppo2048-walk"))
+    p = stats.welch_of(best.level[:, 2], many.level[:, 2])
+    less, walk = gap(best, many), gap(best, many, "walks")
+    times = [stats.ratio(many.level[:, k], best.level[:, k]) for k in (2, 1)]
+    longer = [stats.ratio(ppo.level[:, 2], x.level[:, 2]) for x in (best, many)]
+    steps = [stats.ratio(ppo.level[:, 1], x.level[:, 1]) for x in (best, many)]
+    mine, quick, its, walker = (
+        kernel[x] for x in ("best", "best-r2n4096", "ppo2048", "ppo2048-walk")
+    )
+    goals = "level", "walks"
+    holm = stats.holm(
+        [stats.welch_of(*(getattr(x, goal)[:, 2] for x in (quick, its))) for goal in goals]
+    )
+    assert p < 0.05 and max(holm) < 0.05
+    sooner = [gap(quick, its, goal) for goal in goals]
+    beside = [gap(mine, its, goal) for goal in goals]
+    since = [gap(mine, walker, goal) for goal in goals]
+    assert since[0].low > 0 > since[1].low  # "to a walk a difference is not shown"
+    # which PPO has the row: by its mean to the level
+    assert mean(walker) < mean(its) and mean(tuned) > mean(ppo)
+    for place, usual, fast in (("go1.kernel", mine, walker), ("go1.warp", best, ppo)):
+        chosen, ppos = table.settings(found, place)
+        assert chosen is usual and table.fastest_beside(chosen, ppos) is fast
+    # what is told of 2026-11-29, were it true
+    last = "H200, 2026-11-29, second host"
+    older = {one[1:3]: one for one in found if one.place == "go1.warp"}
+    one, other = (older[last, x].level[:, 2] for x in ("best", "best-n2048"))
+    more = (stats.moments(x)._replace(n=10) for x in (one, other))
+    t, df, _ = stats.welch(*more)
+    nct, least = scipy_stats.nct, special.stdtrit(df, 0.975)
+    power = 1 - nct.cdf(least, df, t) + nct.cdf(-least, df, t)
+    before = next(x for x in found if x[:3] == ("go1.kernel", "H200, 2026-11-27", "ppo2048"))
+    on_tuning = next(x for x in found if x[:3] == ("go1.kernel", last, "tune-r2n4096"))
+    every = [f"{x:.1f}" for x in ms["go1.warp.again-best"]]
+    # "went on after three seeds": each process measured its own row
+    parts = {x[0]["row_ms"] for x in [*jobs["go1.warp.again-n2048"].values()][:3]}
+    assert [len({x[0]["row_ms"] for x in some.values()}) for some in jobs.values()].count(2) == 1
+    assert len(parts) == 1 and parts != {jobs["go1.warp.again-n2048"]["1113"][0]["row_ms"]}
+    again = table.break_even(mine, [walker, its], table.cost(found, mine), 1.0)
+    walks = table.break_even(
+        table.to_walk(mine), [*map(table.to_walk, (walker, its))], table.cost(found, mine), 1.0
+    )
+    usual, ppos = (
+        next(x for x in found if x[:3] == ("go1.kernel", "H200, 2026-11-27", m))
+        for m in ("best", "ppo2048")
+    )
+    cost = table.cost(found, usual)
+    first_day = table.break_even(usual, [ppos], cost, table.POWERS["a GPU"])[0]
+    settled = [
+        x for x in found if x[:2] == ("go1.kernel", "H200, 2026-11-27") and "ppo" in x.method
+    ]
+    settled = [table.to_walk(x) for x in settled if np.isfinite(x.walks).all()]
+    first_walk = table.break_even(table.to_walk(usual), settled, cost, table.POWERS["a GPU"])[0]
+    shares = [
+        stats.ratio(getattr(walker, goal)[:, 1], getattr(mine, goal)[:, 1]).value for goal in goals
+    ]
+    few = "{:.0f} ({:.0f} to {:.0f})"
+    told = {
+        "runs": [
+            f"after {mean(many):.2f} instead of {mean(best):.2f} s: {around(less, 2, ' s less')[:-1]}, p"
+            f" {p:.3f}), {around(times[0], 2, ' times the seconds')}, for"
+            f" {around(times[1], words=' times the steps')}.",
+            f"If the {(one - other).mean():.2f} s of 2026-11-29 were true, {100 * power:.0f} of 100 such runs"
+            f" would show it. To a walk, told without a test, it is {mean(many, 'walks'):.2f} and"
+            f" {mean(best, 'walks'):.2f} s: {around(walk, 2, ' less')}.",
+            f"{mean(ppo):.2f} s to the level, {around(longer[0], words=' times as long as `best`')} and"
+            f" {around(longer[1], words=' times as long as with 2048 robots')}, for {few.format(*steps[0])}"
+            f" and {steps[1].value:.1f} times the steps ({steps[1].low:.1f} to {steps[1].high:.0f}). To a"
+            f" walk {mean(ppo, 'walks'):.2f} s: {around(gap(ppo, best, 'walks'), 2, ' more than `best`')}.",
+            f"To the level it is {mean(quick):.2f} and {mean(its):.2f} s,"
+            f" {around(sooner[0], 2, ' more')[:-1]}, by Holm {holm[0]:.4f}); to a walk"
+            f" {mean(quick, 'walks'):.2f} and {mean(its, 'walks'):.2f}, {around(sooner[1], 2, ' more')[:-1]},"
+            f" by Holm {holm[1]:.3f}).",
+            f"`best` takes {mean(mine):.2f} and {mean(mine, 'walks'):.2f} s: {around(beside[0], 2)} and"
+            f" {around(beside[1], 2, ' more than `ppo2048`')}.",
+            f"before `ppo2048` was at its level ({before.level[:, 0].mean():.0f})",
+            f"it is lower, {mean(walker):.2f} instead of {mean(its):.2f} s"
+            f" ({around(gap(its, walker), 2, ' less').replace(' (', ', ')[:-1]}; to a walk"
+            f" {mean(walker, 'walks'):.2f} instead of {mean(its, 'walks'):.2f}); with MuJoCo Warp it is not,"
+            f" {mean(tuned):.2f} instead of {mean(ppo):.2f}.",
+            f"With our kernel `best` takes {around(since[0], 2, ' s more than it to the level')}, and"
+            f" {around(since[1], 2, ' to a walk')}.",
+            f"an iteration of `best` takes {', '.join(every[:-1])} and {every[-1]} ms, by seed. In all eight"
+            f" jobs the first two take {min(slower.values()):.1f} to {max(slower.values()):.1f} % longer",
+        ],
+        "settings": [
+            *(
+                f"| {label} | {table.interval(x.level[:, 2])} | {table.interval(x.walks[:, 2])} |"
+                for label, x in (
+                    ("two rounds, 4096 robots", quick),
+                    ("`best`", mine),
+                    ("PPO, 2048 robots", its),
+                    ("PPO, 2048 robots, tuned since", walker),
+                )
+            ),
+            f"at the level (by Holm {holm[0]:.4f}) and at a walk ({holm[1]:.3f}). On three tuning seeds these"
+            f" had taken {mean(on_tuning):.2f} and {mean(on_tuning, 'walks'):.2f} s.",
+        ],
+        "README": [
+            f"{mean(walker):.2f} instead of {mean(mine):.2f} s to the level and {mean(walker, 'walks'):.2f}"
+            f" instead of {mean(mine, 'walks'):.2f} to a walk, for {shares[0]:.0f} and {shares[1]:.0f} times"
+            " the steps. To a walk that is not shown. The older PPO of the other places takes"
+            f" {mean(its):.2f} and {mean(its, 'walks'):.2f} s.",
+            f"two rounds with 4096 robots, which take {mean(quick):.2f} and {mean(quick, 'walks'):.2f} s ([p"
+            f" by Holm](runs.md#go1) {holm[0]:.4f} and {holm[1]:.3f}).",
+            f"`best` is faster: {mean(best):.2f} instead of {mean(ppo):.2f} s to the level and"
+            f" {mean(best, 'walks'):.2f} instead of {mean(ppo, 'walks'):.2f} to a walk.",
+            f"it takes {mean(many):.2f} s to the level: {around(less, 2, ' s less')[:-1]}, p {p:.3f}, by [a"
+            f" rule set before](runs.md#go1)), for {times[1].value:.1f} times the steps. To a walk no"
+            " difference is shown.",
+            f"From runs of 2026-11-27 it is {first_day:.2f} and {first_walk:.2f} ms.",
+            f"two rounds with 4096 robots {mean(quick):.2f} s, `best` {mean(mine):.2f}, PPO"
+            f" {mean(walker):.2f}; with MuJoCo Warp {mean(many):.2f} and {mean(best):.2f};",
+            f"{again[0]:.2f}, not 0.43 ms, if a row costs as its robots do",
+        ],
+        "computed": [
+            "Go1 breaks even at {:.2f} ms ({:.2f} to {:.2f}), to a walk at {:.2f} ({:.2f} to {:.2f}), by the"
+            " runs of"
+            " 2026-11-30.".format(*again, *walks),
+        ],
+    }
+    for name, texts in told.items():
+        for text in texts:
+            assert text in row_cost_words(name), (name, text)
+    assert walk.low < 0 < walk.high
+    text = "git show 2a51cc3d:experiments/30_row_cost/next.md"
+    assert text in row_cost_words("runs")
 
 
 def test_the_first_two_seeds_of_a_process_are_the_slow_ones_with_mujoco_warp():
@@ -344,7 +440,8 @@ def test_the_first_two_seeds_of_a_process_are_the_slow_ones_with_mujoco_warp():
     table = script(f"{ROW_COST}/table")
     jobs = {}
     for row in table.read():
-        if row["name"].split(".")[1] in ("warp", "exact"):
+        # `again-` begins each process with two that are thrown away
+        if row["name"].split(".")[1] in ("warp", "exact") and " warmup=" not in row["job"]:
             process = row["batch"], row["name"], row["row_ms"]
             jobs.setdefault(process, {}).setdefault(row["seed"], []).append(row)
     ms = {
@@ -368,7 +465,8 @@ def test_the_first_two_seeds_of_a_process_are_the_slow_ones_with_mujoco_warp():
     spans = [f"{min(x):.0f} to {max(x):.0f} %" for x in more.values()]
     runs = row_cost_words("runs")
     hosts = {8: "eight"}[len({key[0] for key in some})]
-    text = f"in all {len(some)} processes with that step and three seeds or more, on {hosts} hosts:"
+    text = f"in all {len(some)} processes with that step and three seeds or more that threw none away first,"
+    text += f" on {hosts} hosts:"
     assert f"{text} with `best` by {spans[0]}, with PPO by {spans[1]}." in runs
     last = "H200, 2026-11-29, second host"
     (alone,), again = (
@@ -454,8 +552,8 @@ def test_ppo_for_seconds_is_an_older_setting_than_the_headlines():
     assert own == then | {key: own[key] for key in own if key.startswith("run.")}
     found = table.runs()
     best, ppos = table.settings(found, "go1.kernel")
-    few = table.sparing(ppos)
-    assert few.method == "ppo256"
+    few = table.fewest(found, best, ppos)
+    assert few[1:3] == ("H200, 2026-11-27", "ppo256")
     steps, share = few.level[:, 1].mean() / 1e6, stats.ratio(few.level[:, 1], best.level[:, 1])
     head = {name: ours_of(f"{name}-g").level for name in ("best", "ppo-level", "ppo-walk")}
     ppo = [head[name].mean() / 1e6 for name in ("ppo-level", "ppo-walk")]
@@ -477,12 +575,15 @@ def test_ppo_for_seconds_is_an_older_setting_than_the_headlines():
         ),
     ):
         assert words in row_cost_words(page), words
-    assert not any(x.method.endswith("-walk") for x in found)  # "have not run"
+    # "the one to walk has run for seconds with 2048 robots", and no other of the two
+    some = [x for x in found if x.place.startswith("go1.") and x.method.startswith("ppo")]
+    assert {x.robots for x in some if x.method.endswith("-walk")} == {2048}
+    assert {x.method for x in some if "-" in x.method} == {"ppo2048-walk"}
 
 
 def test_what_runs_again_is_as_before_on_new_seeds_and_as_its_rules_say():
-    """`again-` of next.md: the same settings but seeds and two that are thrown away; PPO to walk as the
-    headline's but robots and iterations; how likely what ran is to be shown; what no row takes."""
+    """`again-` of 2026-11-30: the same settings but seeds and two that are thrown away; PPO to walk as the
+    headline's but robots and iterations. PPO of a Go2 that is evaluated oftener. What has not run."""
     table, measure = script(f"{ROW_COST}/table"), script(f"{ROW_COST}/run")
     lines = (EXPERIMENTS / ROW_COST / "jobs.txt").read_text().splitlines()
     asked = {name: (job, fields) for name, job, *fields in map(str.split, lines)}
@@ -526,11 +627,19 @@ def test_what_runs_again_is_as_before_on_new_seeds_and_as_its_rules_say():
             had.setdefault(x["name"], set()).add(int(x["seed"]))
     since = {name: some for name, some in had.items() if some & {*range(1110, 1120)}}
     fine = {f"go1.fine{steps}.{x}" for steps in (16, 32) for x in ("best", "ppo2048")}
-    assert {*since} == fine and all(x == {*range(1110, 1115)} for x in since.values())
+    assert {*since} == {*fine, *again} and max(max(some) for some in had.values()) == 1124
     page = row_cost_words("next")
-    words = "Since then 1110 to 1114 have run with [16 and 32 physics steps in a row]"
-    assert f"{words}(runs.md#more-physics-steps)" in page and "fine" not in page
-    assert f"With 2048 robots that is iteration {half:.0f}, long before `ppo2048`" in page
+    assert "fresh seeds for a Go1 on a GPU begin at 1125." in page
+    assert f"With 2048 that is iteration {half:.0f}, long before `ppo2048`" in row_cost_words(
+        "runs"
+    )
+    # evaluated as often as `best` for seconds, and nothing else
+    for count in (2048, 4096):
+        names = f"go2.rough.ppo{count}-often", f"go2.rough.ppo{count}", "go2.rough.best-r1e3"
+        often, once, quick = (measure.read(*asked[name]) for name in names)
+        now, then = (config_fields.flat(x.config) for x in (often, once))
+        assert {key for key in now if now[key] != then[key]} == {"run.log_every"}
+        assert now["run.log_every"] == quick.config.run.log_every == 25 and often[2:] == once[2:]
     # all that has not run is named, and nothing else
     ran = {(x["name"], x["seed"]) for x in rows}
     left = set()
@@ -545,27 +654,7 @@ def test_what_runs_again_is_as_before_on_new_seeds_and_as_its_rules_say():
     commands = [x.split()[2:] for x in text.splitlines() if x.startswith("    python $J")]
     named = [name for some in commands for name in paper.chosen(asked, some)]
     assert len(named) == len(set(named)) and left <= {*named}
-    # and on one host once more
-    assert {*named} - left == {"go2.rough.best-r1e3", "go2.rough.best"}
-    # how likely ten seeds are to show what five showed
-    found = table.runs()
-    run = {one[1:3]: one for one in found if one.place == "go1.warp"}
-    last = "H200, 2026-11-29, second host"
-    one, other = (run[last, x].level[:, 2] for x in ("best", "best-n2048"))
-    more = (stats.moments(x)._replace(n=10) for x in (one, other))
-    t, df, _ = stats.welch(*more)
-    nct, least = scipy_stats.nct, special.stdtrit(df, 0.975)
-    power = 1 - nct.cdf(least, df, t) + nct.cdf(-least, df, t)
-    assert f"it is shown in {100 * power:.0f} of 100 such runs" in page
-    ppo = next(x for x in found if x[:3] == ("go1.kernel", "H200, 2026-11-27", "ppo2048"))
-    assert f"before `ppo2048` was at its level ({ppo.level[:, 0].mean():.0f})" in page
-    # no row of README.md takes them
-    day = "H200, 2026-12-24"
-    new = [
-        ppo._replace(batch=day, method=name.rpartition(".")[2], place=name.rpartition(".")[0])
-        for name in again
-    ]
-    assert table.compared([*found, *new]) == table.compared(found)
+    assert {*named} == left == {"go2.rough.tune-r2n4096"}
 
 
 def test_a_row_of_more_physics_steps_is_as_long():
@@ -594,8 +683,11 @@ def test_what_was_expected_of_64_physics_steps_was_computed_from_the_runs_with_4
     told = row_cost_words("runs")
     two = [table.cost(found, table.settings(found, f"go1.fine{n}")[0]) for n in (16, 32)]
     ms = two[1] + (64 - 32) * (two[1] - two[0]) / (32 - 16)
-    best, ppos = table.settings(found, "go1.kernel")
-    (ppo,) = [x for x in ppos if x.method == "ppo2048"]
+    day = "H200, 2026-11-27"
+    best, ppo = (
+        next(x for x in found if x[:3] == ("go1.kernel", day, method))
+        for method in ("best", "ppo2048")
+    )
     own, power = table.cost(found, best), table.power_of("go1.kernel")
     level, walk = (
         [table.later(way(x), own, ms, power) for x in (best, ppo)]
@@ -607,7 +699,7 @@ def test_what_was_expected_of_64_physics_steps_was_computed_from_the_runs_with_4
     assert f"{last} difference is shown. None is, but in the mean it is the other way." in told
     assert stats.welch_of(*level) < 0.001 and stats.welch_of(*walk) > 0.05
     ran = [row for row in table.read() if "laptop" not in row["name"]]
-    names = {row["name"] for row in ran if int(row["seed"]) in range(1118, 1125)}
+    names = {row["name"] for row in ran if int(row["seed"]) in range(1120, 1125)}
     assert names == {"go1.fine64.best", "go1.fine64.ppo2048"}
 
 
@@ -648,8 +740,8 @@ def test_what_the_pages_say_of_a_row_of_more_physics_steps_is_so():
     less, more = stats.difference(*clocks[0]), stats.difference(*clocks[1][::-1])
     sooner = [stats.difference(*pair) for pair in walks]
     # expected, and computed at the costs that rows had, from the runs with 4
-    best, ppos = table.settings(found, "go1.kernel")
-    (ppo,) = [x for x in ppos if x.method == "ppo2048"]
+    every = {x[1:3]: x for x in found if x.place == "go1.kernel"}
+    best, ppo = (every["H200, 2026-11-27", method] for method in ("best", "ppo2048"))
     own, power = table.cost(found, best), table.power_of("go1.kernel")
 
     def at(ms, way=lambda one: one):
@@ -665,6 +757,14 @@ def test_what_the_pages_say_of_a_row_of_more_physics_steps_is_so():
     ((who, early),) = early  # "to a walk of one of six"
     wide = stats.difference(walking[2][1], walks[2][1])
     assert who == 1 and early == wide
+    # by the runs of 2026-11-30 none is
+    newer = [every["H200, 2026-11-30", method] for method in ("best", "ppo2048")]
+    since = []
+    for way, measured in ((lambda x: x, clocks), (table.to_walk, walks)):
+        for ms, some in zip(costs, measured, strict=True):
+            took = [table.later(way(x), table.cost(found, x), ms, power) for x in newer]
+            since += [stats.difference(*pair) for pair in zip(took, some, strict=True)]
+    assert len(since) == 12 and all(gap.low < 0 < gap.high for gap in since)
     slow, *others = sorted(both[2][0].level[:, 2])[::-1]
     late = both[2][0].walks[:, 2].max()
     assert both[2][0].walks[:, 0].max() == 240 and int([*last["go1.fine64.best"]][1]) == 1121
@@ -734,7 +834,9 @@ def test_what_the_pages_say_of_a_row_of_more_physics_steps_is_so():
             line("PPO, 2048 robots, to the level", levels, clocks, 1),
             line("`best`, to a walk", walking, walks, 0),
             line("PPO, 2048 robots, to a walk", walking, walks, 1),
-            f"with 64 physics steps PPO walks {around(early, 2, ' s sooner than computed')[:-1]}; not",
+            f"with 64 physics steps PPO walks {around(early, 2, ' s sooner than computed')[:-1]}; not"
+            f" corrected), and {around(since[-1], 2, ' s by the runs of 2026-11-30')}, from which of none of"
+            " the twelve a difference is shown.",
             f"is {even[0][0].replace(' (', ' ms (')}, {even[1][0]} and {even[2][0].replace('0.2 ', '0.20 ')},"
             f" to a walk {even[0][1]}, {even[1][1]} and {even[2][1]}.",
             "needs {:.0f}, {:.0f} and {:.0f} rows of 1024 robots, PPO {:.0f}, {:.0f} and {:.0f} of 2048. All"
