@@ -410,8 +410,8 @@ def test_which_ppo_stands_on_fresh_seeds():
     assert np.array_equal(fresh.steps(jobs, "anymal_b", "walks").ppo, stays.ppo)
     more = stats.difference(other.ppo / 1e6, stays.ppo / 1e6)
     text = f"512 robots stay: they need {stays.ppo.mean() / 1e6:.2f} M, where the one that never walks "
-    text += f"counts with twice its run, 256 robots with gamma 0.98 {other.ppo.mean() / 1e6:.2f}, and all ten "
-    text += f"walk ({more.value:.2f} M more; {-more.low:.2f} less to {more.high:.2f} more, p "
+    text += f"counts with twice its run, 256 robots with gamma 0.98 {other.ppo.mean() / 1e6:.2f}, and all "
+    text += f"ten walk ({more.value:.2f} M more; {-more.low:.2f} less to {more.high:.2f} more, p "
     assert f"{text}{stats.welch_of(other.ppo, stays.ppo):.2f})" in WORDS
     saved, now = (fresh.around(one) for one in (other, stays))
     text = (
