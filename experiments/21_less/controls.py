@@ -18,6 +18,12 @@ Ideas of other model-based methods (27_few):
   that it did not see; with a memory not the remembered ones either
 - `real-again`: PPO learns from the real rows in every round, not in the first alone
 
+For a job without tails (`schedule.end_steps=0`):
+
+- `thrice`: an iteration has three updates on its real rows, as many as `best` has with two rounds of tails. In
+  the second and third the rows are taken as the policy's of then: with its log_prob, mean and value, so the
+  KL limit is new and advantages are estimated again
+
 Two more gained nothing and have left this file (27_few/parts.md): `spread` (a robot's next command was not
 drawn, but at an even distance from its last one) and `recent` (the fit drew a remembered row half as often as
 one 100 rows newer), in commits up to 22eb9acd.
@@ -31,8 +37,10 @@ from functools import partial
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from dynappo import algorithm, fast, rollout
+from dynappo import algorithm, fast, rollout, schedule
+from dynappo.learner import networks
 from dynappo.model import dynamics, errors, memory
 
 claims = importlib.import_module("experiments.19_collapse.controls")
@@ -41,6 +49,7 @@ MEMBERS, DOUBTFUL, PARTS, UNSEEN = 3, 0.02, 5, 8
 MEMBER = 7  # of a robot's key in a row; `algorithm` and `dynamics` fold 0 to 3
 
 _imagine, _estimate, _presence = algorithm.imagine, algorithm.estimate, algorithm.presence
+_columns = schedule.columns
 _init, _fit, _step, _errors = dynamics.init, fast.fit, fast.step, errors.errors
 
 
@@ -152,6 +161,25 @@ def of_the_first_round(*args, rows, real, of_round=0, **given):
     return _estimate(*args, rows=rows.replace(truncation=cut), real=real, of_round=0, **given)
 
 
+def three_rounds(config):
+    """`schedule.columns` with three updates in each iteration."""
+    columns = _columns(config)
+    return columns | {"rounds": np.full_like(columns["iteration"], 3)}
+
+
+def as_if_anew(static, hyper, env, params, rows, real, of_round=0):
+    """`algorithm.estimate`; after the first round of rows as if the policy of now had chosen their actions."""
+    obs, critic_obs = networks.inputs(static, env, rows.obs, rows.prop)
+    mean, value = jax.vmap(fast.actor_critic(static, params))(obs, critic_obs)
+    now = rows.replace(
+        action_mean=mean,
+        log_prob=networks.log_prob(mean, params["std"], rows.action),
+        value=value,
+    )
+    rows = jax.tree.map(partial(jnp.where, of_round > 0), now, rows)
+    return _estimate(static, hyper, env, params=params, rows=rows, real=real)
+
+
 def _ensemble(end: bool):
     return [
         (dynamics, "init", inits),
@@ -168,5 +196,6 @@ CONTROLS = {  # name -> what is put where
     "ensemble-end": [*_ensemble(end=True), (algorithm, "presence", presence_to_the_end)],
     "stopping": [(fast, "fit", stopped)],
     "real-again": [(algorithm, "estimate", of_the_first_round)],
+    "thrice": [(schedule, "columns", three_rounds), (algorithm, "estimate", as_if_anew)],
     **claims.CONTROLS,
 }

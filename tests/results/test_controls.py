@@ -12,6 +12,7 @@ from result_files import script
 from toy_runs import assert_close
 
 from dynappo import algorithm, schedule
+from dynappo.learner import networks
 from dynappo.model import dynamics
 
 
@@ -90,6 +91,36 @@ def test_real_rows_learn_nothing_from_a_tail_that_begins_elsewhere():
     first = jnp.int32(0)
     one, other = (f(rows=rows, real=real, of_round=first) for f in (again, estimate))
     assert_close(one, other, 1e-6)
+
+
+def test_three_updates_on_real_rows_are_as_if_the_policy_of_now_had_made_them(monkeypatch):
+    """The control `thrice`: the schedule has three rounds and no other column changes; the first round is as
+    shipped, a later one has the log_prob, mean and value of other weights, and advantages by that value."""
+    controls, env = script("21_less/controls"), toy_env.make()
+    config, static, hyper = toy_env.settings()
+    columns, shipped = controls.three_rounds(config), schedule.columns(config)
+    assert (columns.pop("rounds") == 3).all() and columns.keys() == shipped.keys()
+    assert all(np.array_equal(columns[name], shipped[name]) for name in columns)
+    state = jax.jit(partial(algorithm.init, env, static=static))(hyper, jax.random.key(0))
+    collect = jax.jit(partial(algorithm.collect, env, static=static))
+    rows, _, _ = collect(hyper, state, n_real=jnp.int32(8), key=jax.random.key(1))
+    other = jax.tree.map(lambda x: 1.1 * x, state.learner.params)
+    real = jnp.ones((8, 1), bool)
+    anew, estimate = (
+        jax.jit(partial(f, static, hyper, env)) for f in (controls.as_if_anew, algorithm.estimate)
+    )
+    first, plain = (f(params=other, rows=rows, real=real, of_round=0) for f in (anew, estimate))
+    assert_close(first, plain, 1e-6)
+    later = anew(params=other, rows=rows, real=real, of_round=2)
+    obs, critic_obs = networks.inputs(static, env, rows.obs, rows.prop)
+    mean, value = networks.policy(static, other, obs), networks.value(static, other, critic_obs)
+    log_prob = networks.log_prob(mean, other["std"], rows.action)
+    for name, expected in (("action_mean", mean), ("log_prob", log_prob), ("value", value)):
+        np.testing.assert_allclose(getattr(later, name), expected, rtol=1e-4, atol=1e-4)
+        assert not np.allclose(getattr(first, name), expected, rtol=1e-2)
+    now = estimate(params=other, rows=rows.replace(value=value), real=real)
+    np.testing.assert_allclose(later.advantages, now.advantages, rtol=1e-3, atol=1e-3)
+    assert not np.allclose(later.advantages, first.advantages, rtol=1e-2)
 
 
 def test_a_fit_that_stops_sees_its_own_robots_alone_and_moves_the_moments_once():
