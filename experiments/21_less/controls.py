@@ -20,9 +20,9 @@ Ideas of other model-based methods (27_few):
 
 For a job without tails (`schedule.end_steps=0`):
 
-- `thrice`: an iteration has three updates on its real rows, as many as `best` has with two rounds of tails. In
-  the second and third the rows are taken as the policy's of then: with its log_prob, mean and value, so the
-  KL limit is new and advantages are estimated again
+- `thrice`: an iteration has three updates on its real rows, as many as `best`. In the second and third the
+  rows are taken as the policy's of then: with its log_prob, mean and value, so the KL limit is new and
+  advantages are estimated again
 
 Two more gained nothing and have left this file (27_few/parts.md): `spread` (a robot's next command was not
 drawn, but at an even distance from its last one) and `recent` (the fit drew a remembered row half as often as
@@ -168,7 +168,7 @@ def three_rounds(config):
 
 
 def as_if_anew(static, hyper, env, params, rows, real, of_round=0):
-    """`algorithm.estimate`; after the first round of rows as if the policy of now had chosen their actions."""
+    """`algorithm.estimate`; after the first round as if the policy of now had chosen the actions."""
     obs, critic_obs = networks.inputs(static, env, rows.obs, rows.prop)
     mean, value = jax.vmap(fast.actor_critic(static, params))(obs, critic_obs)
     now = rows.replace(
