@@ -61,7 +61,7 @@ def main():
     for (goal, words), (seconds, steps) in zip(GOALS.items(), axes, strict=True):
         computed(seconds, found, goal)
         for number, (ms, (best, ppos)) in enumerate(zip(costs, pairs, strict=True), 1):
-            if goal == "walks" and best.place in table.STAYS:
+            if goal == "walks" and best.place in table.NO_WALKS:
                 continue
             fast, few = table.fastest_beside(best, ppos), table.fewest(found, best, ppos)
             if goal == "walks":

@@ -6,9 +6,10 @@
 Runs are those of results/alone.csv.xz, one at a time on their device, and those of 25_humanoid and 04_laptop
 that were. A name is PLACE.METHOD: a place is a robot, task and engine; METHOD is `best`, one with settings
 for seconds (`tune-`: on the seeds among which they are chosen), or `ppo` with its robots, at some places x
-its rows (`-walk`: tuned to walk, `-often`: evaluated as often as `best` for seconds). A job `again-METHOD` is
-that setting on new seeds, by a rule set before. BATCH says card and date; the clock of a seed that ran more
-than once is the median. What the level is, and a walk: dynappo/policy/walks.py.
+its rows (`-walk`: tuned to walk, `-often`: evaluated as often as `best` for seconds, beside which alone it
+stands). A job `again-METHOD` is that setting on new seeds, by a rule set before. BATCH says card and date;
+the clock of a seed that ran more than once is the median. What the level is, and a walk:
+dynappo/policy/walks.py.
 
 Computed: `later` gives a run's seconds if its rows cost more, from its own clock and rows. `break_even` is
 the cost at which `best` and the fastest PPO take equally long; "for seconds": a setting for seconds and PPO.
@@ -58,9 +59,11 @@ POWERS = {"a GPU": math.log(2.98 / 2.2) / math.log(4), "two cores": 1.0}
 MANY, OFTEN = 3, 5  # seeds of a choice, and of an interval
 TUNING = "tune-"  # so begin settings of `best` on seeds 0 to 2, among which one is chosen
 AGAIN = "again-"  # so begin jobs that run a setting once more, on new seeds
-STAYS = {
-    "go2.rough"
-}  # where walks are not compared: they hang on how often and how long one is evaluated
+# so end PPO's that were evaluated as often in seconds as `best` for seconds, not as `best`
+FOR_SECONDS = "-often"
+# where walks are not compared: they hang on how often and how long one is evaluated
+NO_WALKS = {"go2.rough"}
+TASK_BEFORE = (H100, H200)  # of a Go1 whose feet were not lifted, before commands were mended
 COSTS = np.geomspace(0.1, 100, 601)  # ms
 
 
@@ -129,7 +132,14 @@ def of_rows(rows: list[dict]) -> list[Run]:
     jobs = collections.defaultdict(lambda: collections.defaultdict(list))
     for row in rows:
         jobs[row["batch"], row["name"]][row["seed"], row.get("run", "")].append(row)
-    return [of_job(key[0], key[1], list(job.values())) for key, job in jobs.items()]
+    found = [of_job(key[0], key[1], list(job.values())) for key, job in jobs.items()]
+    counts = collections.Counter(run[:3] for run in found)
+    for (place, batch, method), count in counts.items():
+        if count > 1:
+            raise SystemExit(
+                f"{place}.{method} is twice in {batch}, once as {AGAIN}: expected one of them a batch"
+            )
+    return found
 
 
 def of_job(batch: str, name: str, each: list[list[dict]]) -> Run:
@@ -288,19 +298,24 @@ def settings(found: list[Run], place: str) -> tuple[Run, list[Run]] | None:
 def fewest(found: list[Run], best: Run, ppos: list[Run]) -> Run:
     """The setting of PPO of fewest steps: of `ppos`, and of those that ran on other days alone, at the place
     of `best` and on its kind of card, with as many seeds as an interval needs, more than half of which get
-    there. Not of 2026-11-25, whose task was another."""
+    there. Not where the task was another."""
     named = {ppo.method for ppo in ppos}
     some = [run for run in found if run.place == best.place and day(run)[0] == day(best)[0]]
-    some = [run for run in some if run.method.startswith("ppo") and run.method not in named]
+    some = [run for run in some if is_ppo(run) and run.method not in named]
     some = [run for run in some if len(run.level) >= OFTEN and there(run) > 0.5]
-    return sparing([*ppos, *(run for run in some if run.batch != H200)])
+    return sparing([*ppos, *(run for run in some if run.batch not in TASK_BEFORE)])
+
+
+def is_ppo(run: Run) -> bool:
+    """One of PPO that may stand beside `best`."""
+    return run.method.startswith("ppo") and not run.method.endswith(FOR_SECONDS)
 
 
 def beside(some: list[Run], best: Run) -> list[Run]:
     """The settings of PPO on the kind of card and the day of `best`, else on that kind of card: of each the
     host of `best` if it has as many seeds as an interval needs, else that with most; of equals one on which
     `best` with settings for seconds ran, too."""
-    ppos = near([run for run in some if run.method.startswith("ppo")], best)
+    ppos = near([run for run in some if is_ppo(run)], best)
     quick = {run.batch for run in some if run.method.startswith("best-")}
 
     def worth(run):
@@ -452,15 +467,17 @@ def compared(found: list[Run]) -> str:
         here = [at_cost(found, ppo, ms) for ppo in ppos]
         equal = even(best, here, ms) + for_seconds(found, quick, ppos) * (quick is not best)
         walking = [at_cost(found, to_walk(ppo), ms) for ppo in ppos]
-        walk = "-" if place in STAYS else even(to_walk(best), walking, ms)
+        walk = "-" if place in NO_WALKS else even(to_walk(best), walking, ms)
         lines.append([*cells, equal, walk])
     return paper.markdown(head, lines)
 
 
 def for_seconds(found: list[Run], quick: Run, ppos: list[Run]) -> str:
-    """Where a setting of `best` for seconds and PPO break even: those settings of PPO that ran on its own
-    host with as many seeds as an interval needs, if the fastest of `ppos` is one of them, else `ppos`; all
-    rows at the cost of its host, or of that of the fastest."""
+    """Where a setting of `best` for seconds and PPO break even: `ppos`, or where PPO was evaluated as often,
+    that; of these those that ran on its own host with as many seeds as an interval needs, if the fastest is
+    one of them, else all; all rows at the cost of its host, or of that of the fastest."""
+    often = [run for run in found if run.place == quick.place and run.method.endswith(FOR_SECONDS)]
+    ppos = near(often, quick) or ppos
     own = [run for run in found if run[:2] == quick[:2] and run.method.startswith("ppo")]
     own = [run for run in own if len(run.level) >= OFTEN]
     fast = fastest(ppos)

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from result_files import (
     EXPERIMENTS,
+    LESS,
     ROW_COST,
     around,
+    less,
     of_host,
     row_cost_words,
     script,
@@ -73,25 +75,12 @@ def test_what_the_pages_of_seconds_say_in_words_is_so():
             older = older if goal == "to the level" else ""  # of then `best` does not walk yet
             slow = table.interval(way(measured).level[:, 2])
             assert f"| {label}, {goal} | {older}| {then}| {slow} |" in pages["computed"]
-    rows = [
-        (run["go1.kernel", own, m].level[:, 1] / run["go1.kernel", own, m].robots).mean()
-        for m in ("best", "ppo2048", "ppo256")
-    ]
-    text = "needs {:.0f} rows of 1024 robots with `best`, {:.0f} of 2048 or {:.0f} of 256 with PPO."
-    assert text.format(*rows) in pages["computed"] and f"{rows[1] / rows[0]:.0f}" == "7"
-    assert "a Go1 needs a seventh of the rows of PPO with 2048 robots" in pages["README"]
-    some = [run["go1.kernel", own, m] for m in ("best", "ppo2048", "ppo256")]
-    *rest, slow = [  # of all seeds' iterations
+    usual, slow = [  # of all seeds' iterations
         (1e3 * one.level[:, 2] - one.level[:, 1] / one.robots * one.row).sum()
         / one.level[:, 0].sum()
-        for one in (*some, run["go1.warp", own, "best"])
+        for one in (run["go1.kernel", own, "best"], run["go1.warp", own, "best"])
     ]
-    assert f"all but rows took {slow:.1f} ms of each, not {rest[0]:.1f}." in pages["computed"]
-    text = "{:.1f} ms an iteration of {:.0f}, and {:.1f} of {:.0f}, or {:.1f} of {:.0f}."
-    each = [(ms, one.level[:, 0].mean()) for ms, one in zip(rest, some, strict=True)]
-    assert text.format(*np.ravel(each)) in pages["computed"]
-    assert "all else in an iteration takes [four times as long]" in pages["README"]
-    assert f"{rest[0] / rest[1]:.0f}" == "4"
+    assert f"all but rows took {slow:.1f} ms of each, not {usual:.1f}." in pages["computed"]
     newer, (g1, ppo) = "H200, 2026-11-28", ("g1.kernel", "ppo1024x12")
     pair = [run[g1, newer, method] for method in ("best", ppo)]
     (mine, its), (few, steps) = ([one.level[:, k] for one in pair] for k in (2, 1))
@@ -103,7 +92,7 @@ def test_what_the_pages_of_seconds_say_in_words_is_so():
     assert f"by {gain:.0f} % ({least:.0f} to {most:.0f})" in pages["README"]
     text = "difference is {:.2f} s ({:.2f} to {:.2f})"
     assert text.format(*stats.difference(*(one.walks[:, 2] for one in pair))) in pages["runs"]
-    gains, longer, cut, needs, rest = [], [], [], [], []
+    gains, longer, cut, needs, rest = [], [], [], [], []  # in the exact tasks
     for place in ("go1.exact", "anymal_c.exact"):
         pair = [run[place, newer, method] for method in ("best", "ppo2048")]
         mine, its = (one.level[:, 2] for one in pair)
@@ -139,6 +128,108 @@ def test_what_the_pages_of_seconds_say_in_words_is_so():
         ("anymal_c.exact", "ppo1024"): 1,
     }
     assert "All five ANYmal-C walk with `best`, two of five Go1" in pages["README"]
+
+
+def test_where_the_time_of_a_go1_goes_is_as_the_pages_of_seconds_say():
+    """By the runs of the newest day with our kernel: rows and all else, to the level and to a walk; where a
+    row costs more, and if it costs as its robots do."""
+    table, batch = script(f"{ROW_COST}/table"), "H200, 2026-11-30"
+    found = table.runs()
+    run = {one.method: one for one in found if one[:2] == ("go1.kernel", batch)}
+    best, ppo = run["best"], run["ppo2048-walk"]
+    chosen, ppos = table.settings(found, "go1.kernel")
+    assert chosen is best and table.fastest_beside(best, ppos) is ppo
+    rows, walk = (
+        [(getattr(one, goal)[:, 1] / one.robots).mean() for one in (best, ppo, run["ppo2048"])]
+        for goal in ("level", "walks")
+    )
+    rest = [
+        np.mean((1e3 * one.level[:, 2] - one.level[:, 1] / one.robots * one.row) / one.level[:, 0])
+        for one in (best, ppo)
+    ]
+    first = {
+        key: float(value)
+        for key, value in next(iter(of_host(table, batch)["go1.kernel.again-best"].values()))[
+            0
+        ].items()
+        if key.endswith("_ms")
+    }
+    # five times the epochs in the first iterations, three rounds of 16 rows, three updates
+    phases = 5 * first["fit_ms"], first["fit_ms"], 48 * first["tail_ms"], 3 * first["ppo_ms"]
+    power, dear = table.POWERS["a GPU"], 10.0
+
+    def at(one, power):
+        return table.later(one, table.cost(found, one), dear, power).mean()
+
+    mine, its, alike = at(best, power), at(ppo, power), at(ppo, 1.0)
+    few = next(x for x in found if x[:3] == ("go1.kernel", "H200, 2026-11-27", "ppo256"))
+    ends = [
+        2**power * some[k] / some[0] for some, k in ((rows, 1), (walk, 2))
+    ]  # where only rows count, of the sooner PPO
+    walks = [at(table.to_walk(one), power) for one in (best, run["ppo2048"])]
+    pages = {name: row_cost_words(name) for name in ("README", "computed")}
+    for text in (
+        "a Go1 needs {:.0f} rows of 1024 robots with `best` and {:.0f} of 2048 with PPO"
+        " (2026-11-30).".format(*rows),
+        f"All else takes {rest[0]:.1f} ms an iteration of {best.level[:, 0].mean():.0f}, and"
+        f" {rest[1]:.1f} of {ppo.level[:, 0].mean():.0f}.",
+        "it would be {:.1f}: {:.1f} of fitting in the first 50 iterations and {:.1f} later, {:.1f} of tails,"
+        " {:.1f} of three updates.".format(phases[0] + phases[2] + phases[3], *phases),
+        f"At 10 ms, by the runs of 2026-11-30, a Go1 would take {mine:.1f} (`best`) and {its:.0f} s (PPO with"
+        f" 2048 robots): {its / mine:.1f} times as long. In the end it is the ratio of rows, not more:"
+        f" {ends[0]:.0f}. If a row costs as its robots do, it would be {alike:.0f} s with 2048 robots, by the"
+        f" runs of 2026-11-27 {at(few, 1.0):.0f} with 256.",
+        f"by the runs of 2026-11-30 `best` needs {walk[0]:.0f} of 1024 robots, twice as many as to the level,"
+        f" PPO {walk[1]:.0f} of 2048, the older one {walk[2]:.0f}.",
+        f"about 4 times as fast, not {its / mine:.0f} to {ends[0]:.0f}.",
+    ):
+        assert text in pages["computed"], text
+    assert f"{walk[0] / rows[0]:.0f}" == "2"
+    assert f"{walks[1] / walks[0]:.1f} {ends[1]:.1f}" == "3.5 4.5"  # "about 4 times"
+    assert f"{rows[1] / rows[0]:.0f} {rest[0] / rest[1]:.0f}" == "6 4"
+    for text in (
+        "a Go1 needs a sixth of the rows of PPO with 2048 robots, but all else in an iteration takes [four"
+        " times as long]",
+        f"`best` is {its / mine:.0f} to {ends[0]:.0f} times as fast to the level, about 4 times to a walk",
+    ):
+        assert text in pages["README"], text
+
+
+def test_ppo_of_few_steps_in_the_exact_tasks_would_not_be_sooner():
+    """From its rows alone, as if those of 128 robots cost what the power law says; those of 512 cost more."""
+    table, few = script(f"{ROW_COST}/table"), less("ppo")[0]
+    found, power = table.runs(), table.POWERS["a GPU"]
+    pages = {name: row_cost_words(name) for name in ("README", "computed")}
+    steps, rows, ms, least, mine, its = [], [], [], [], [], []
+    for place, batch, name, level in (
+        ("go1.exact", "exact", "level-exact-128-kl5-g", 38),
+        ("anymal_c.exact", "exact 64", "level-exact-128-kl3-ep10-c", 24),
+    ):
+        seeds = few.seeds(few.read(LESS / "results/ppo_tasks.csv.xz", batch)[name])
+        reached = few.reached(seeds, level).level
+        assert len(reached) == 10 and " rollout.num_envs=128 " in f"{seeds[0][0]['job']} "
+        best, ppos = table.settings(found, place)
+        steps.append(reached.mean() / 1e6)
+        rows.append(reached.mean() / 128)
+        ms.append(table.cost(found, best) * (128 / 1024) ** power)
+        least.append(rows[-1] * ms[-1] / 1e3)
+        mine.append(best.level[:, 2].mean())
+        its.append(table.fastest_beside(best, ppos).level[:, 2].mean())
+        half = next(x for x in found if x[:3] == (place, best.batch, "ppo512"))
+        law = table.cost(found, best) * 0.5**power
+        assert half.row > law
+        if place == "go1.exact":
+            text = f"costs more than computed (on a Go1 {half.row:.2f} ms, not {law:.2f})."
+            assert f"a row of 512 robots {text}" in pages["computed"]
+        assert least[-1] > its[-1] > mine[-1]  # "more than all of PPO with 2048 robots"
+    text = "It needs {:.2f} M steps on a Go1 and {:.2f} M on an ANYmal-C: {:.0f} and {:.0f} rows of 128"
+    text += " robots. At {:.2f} and {:.2f} ms, on the hosts of `best`, these alone would take {:.1f} and"
+    text += " {:.1f} s."
+    assert text.format(*steps, *rows, *ms, *least) in pages["computed"]
+    text = "`best` takes {:.2f} and {:.2f} s, and PPO with 2048 robots {:.2f} and {:.2f}."
+    assert text.format(*mine, *its) in pages["computed"]
+    text = "[its rows alone](computed.md#from-rows-alone) would take about {:.0f} and {:.0f} s, more than all"
+    assert f"{text.format(*least)} of PPO with 2048 robots." in pages["README"]
 
 
 def test_where_no_go1_ran_and_what_was_not_tuned_is_as_the_pages_of_seconds_say():
@@ -183,9 +274,9 @@ def test_where_no_go1_ran_and_what_was_not_tuned_is_as_the_pages_of_seconds_say(
     mine, its = table.settings(found, "go2.rough")
     some = {x.robots for x in its}
     ran = [x for x in found if x.place == "go2.rough" and x.method.startswith("ppo")]
-    assert {x.robots for x in ran} == some == {2048, 4096}
-    assert table.fastest_beside(mine, its).robots == table.fastest(its).robots == min(some)
-    both = [x.level[:, 2] for x in its if x.method.endswith("-often")]
+    assert {x.robots for x in ran} == {2048, 4096} and [x.method for x in its] == ["ppo2048"]
+    assert some == {2048} and table.fastest_beside(mine, its) is its[0]
+    both = [x.level[:, 2] for x in ran if x.method.endswith("-often")]
     gap = stats.difference(*both)
     assert len(both) == 2 and gap.low < 0 < gap.high
     text = "PPO's rows, epochs, lambda and KL on a Go1 and on rough ground, and `best` with MJX-JAX and in"
@@ -239,6 +330,7 @@ def test_what_the_pages_say_of_ppo_with_4096_robots_is_so():
     found, jobs = table.runs(), of_host(table, host)
     run = {one[:3]: one for one in found}
     page, shares, level, walk = (EXPERIMENTS / ROW_COST / "runs.md").read_text(), [], [], []
+    newest, beside = [], []
     for label, place, day in (
         ("Go1, MuJoCo Warp", "go1.warp", "H200, 2026-11-27"),
         ("Go1, exact task", "go1.exact", "H200, 2026-11-28"),
@@ -246,9 +338,8 @@ def test_what_the_pages_say_of_ppo_with_4096_robots_is_so():
         ("Go1, MJX-JAX", "go1.jax", "H200, 2026-11-28, eighth host"),
     ):
         some = [run[place, day, "ppo2048"], run[place, host, "ppo4096"]]
-        # of a Go1 with MuJoCo Warp those of the same seeds, not the newest
-        now = table.fastest_beside(*table.settings(found, place))
-        assert now is some[0] or (place == "go1.warp" and now.batch == "H200, 2026-11-30")
+        newest.append(table.fastest_beside(*table.settings(found, place)))
+        beside.append(some)
         assert all(len(one.level) == 5 and table.there(one) == 1 for one in some)
         shares.append([some[1].level[:, k].mean() / some[0].level[:, k].mean() for k in (2, 1)])
         cells = [table.interval(one.level[:, 2]) for one in some]
@@ -263,9 +354,20 @@ def test_what_the_pages_say_of_ppo_with_4096_robots_is_so():
         assert {row["commit"][:8] for row in rows} == {"05f6d8fb"}
     runs, readme = row_cost_words("runs"), row_cost_words("README")
     seconds, steps = np.transpose(shares)
-    words = f"they take {min(seconds):.2f} to {max(seconds):.2f} times the seconds, on another host, for"
-    words += f" {min(steps):.1f} to {max(steps):.1f} times the steps."
+    words = f"they take {min(seconds):.2f} to {max(seconds):.2f} times the seconds of 2048 on the same seeds,"
+    words += f" on another host and day, for {min(steps):.1f} to {max(steps):.1f} times the steps."
     assert words in readme and (seconds < 1).tolist() == [False, False, True, False]
+    # of a Go1 with MuJoCo Warp the row of README.md has newer ones, on other seeds
+    (now, *others), (many, *_) = newest, beside[0][::-1]
+    assert all(one is some[0] for one, some in zip(others, beside[1:], strict=True))
+    assert now[:3] == ("go1.warp", "H200, 2026-11-30", "ppo2048") and now is not beside[0][0]
+    more = stats.difference(many.level[:, 2], now.level[:, 2])
+    times = stats.ratio(many.level[:, 2], now.level[:, 2]).value
+    words = f"it is {times:.2f} times {around(more, 2, ' s more').replace(' (', ', ')}"
+    words = words.replace("times ", "times (", 1) + "."
+    assert f"Beside the newer {now.level[:, 2].mean():.2f} s of `go1.warp` {words}" in readme
+    text = f"Beside the {now.level[:, 2].mean():.2f} s of 2026-11-30 with MuJoCo Warp, other seeds, {words}"
+    assert text in runs and more.low > 0
     best = run["anymal_c.exact", "H200, 2026-11-28", "best"].level[:, 2].mean()
     processes = {}
     for seed, rows in jobs["go1.warp.ppo4096"].items():
@@ -330,7 +432,15 @@ def test_the_lead_of_the_page_of_seconds_is_so():
         assert gap.low < 0 < gap.high
     best, ppos = table.settings(found, "go1.kernel")
     even = table.break_even(best, ppos, table.cost(found, best), table.POWERS["a GPU"])[0]
-    text = f"**On a GPU a Go1 breaks even at about {even:.1f} ms a row (computed). Measured"
+    best, ppos = table.settings(found, "go1.warp")
+    dear = [
+        table.even(way(best), [way(x) for x in ppos], table.cost(found, best))
+        for way in (lambda x: x, table.to_walk)
+    ]
+    text = f"2026-11-30 with MuJoCo Warp's step it is {dear[0]}, to a walk {dear[1]}."
+    assert text in page and best.batch == "H200, 2026-11-30"
+    most = float(dear[0].split()[0])
+    text = f"**On a GPU a Go1 breaks even at about {even:.1f} to {most:.1f} ms a row (computed). Measured"
     assert text in page and "On a GPU a Go1 follows commands sooner" in page
 
 
@@ -463,7 +573,8 @@ def test_seconds_and_steps_are_drawn_over_the_cost_of_a_row(drawn, monkeypatch):
         quick = table.fastest(table.variants(found, best))
         assert (quick.batch == best.batch) == (number in (1, 7))
         assert np.isfinite(quick.walks).all() == (number in (1, 7))
-    words = "Triangles: of 2 and 4 on other hosts; below where all seeds walk, so not of 4."
+    words = "Triangles: of 2 and 4 on other hosts; below where all seeds walk, so not of 4; that of 2 was"
+    words += " evaluated oftener than its PPO."
     assert words in row_cost_words("README")
     assert [few.count(plot.NONE["marker"]) for few in marks] == [0, 0, 1, 1]  # no PPO walks
     # the caption's numbers, and which marks stand aside

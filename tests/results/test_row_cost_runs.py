@@ -63,6 +63,16 @@ def test_seconds_are_counted_to_the_level_and_until_it_walks():
     ):
         (again,) = table.of_rows([row | {"name": f"go1.kernel.again-{job}"} for row in found])
         assert again.method == method and again.place == "go1.kernel"
+    # both in one batch would be two runs with one name
+    for name in ("go1.kernel.again-best", "go1.kernel.again-n2048"):
+        both = [
+            row | {"name": x} for x in (name, name.replace("again-n", "best-n")) for row in found
+        ]
+        both = [*found, *both]
+        with pytest.raises(
+            SystemExit, match=r"go1.kernel.best\S* is twice in G, day, once as again-"
+        ):
+            table.of_rows(both)
     low = about | {"seed": "2", "iteration": 1, "sim_steps": 1, "seconds": 1}
     (run,) = table.of_rows([*found, low | {"return": 30.0, "fall_rate": 0.0}])
     assert np.isnan(run.walks[2]).all() and table.cells(run.walks)[0] == "2 of 3"
@@ -209,7 +219,18 @@ def test_seconds_where_a_row_costs_more_and_where_two_runs_break_even():
     ):
         assert table.fewest([*found, unfit], best, [fast, few]) is few
     then = [x._replace(batch=table.H200) for x in (best, spare)]
+    assert table.TASK_BEFORE == (table.H100, table.H200)
     assert table.fewest(then, then[0], [few]) is few
+    # PPO evaluated as often as `best` for seconds stands beside that alone
+    often = fast._replace(method="ppo2048-often", level=five * [1, 1, 0.5])
+    assert table.beside([best, fast, few, often], best) == [fast, few]
+    assert table.settings([*found, often], "go1.kernel") == (best, [fast, few])
+    spare = often._replace(batch="G, day 3", level=five * [1, 0.1, 1])
+    assert table.fewest([*found, spare], best, [fast, few]) is few
+    # its 1000 rows and 0.5 s: 1.5 + 0.1 (c - 1) = 0.5 + 1.16 (c - 1); of its cards alone
+    assert "; for seconds 1.9 (" in table.compared([*first, there, often])
+    other_card = often._replace(batch="H, day")
+    assert "; for seconds 1.5 (" in table.compared([*first, there, other_card])
     # where walks are not compared
     rough = [x._replace(place="go2.rough") for x in found]
     assert table.compared(found).endswith(") |") and table.compared(rough).endswith("| - |")
