@@ -108,7 +108,7 @@ def computed(axis, found, goal: str) -> None:
     even, low, high = table.break_even(best, ppos, before, table.POWERS["a GPU"])
     there = float(np.interp(even, costs, mean))
     axis.vlines(even, there, 300, color="0.5", lw=0.8, ls=":", zorder=0)
-    words = f"Go1 breaks even:\n{even:.2g} ms ({low:.2g} to {high:.2g})"
+    words = f"Go1 breaks even, computed:\n{even:.2g} ms ({low:.2g} to {high:.2g})"
     axis.annotate(
         words, (even, 0.98), (5, 0), axis.get_xaxis_transform(), "offset points", va="top", **TEXT
     )

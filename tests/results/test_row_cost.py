@@ -550,8 +550,8 @@ def test_seconds_and_steps_are_drawn_over_the_cost_of_a_row(drawn, monkeypatch):
     assert some[2] == some[3] == ["1 of 5", "2 of 5", "4 of 5", "9 of 10"]
     even = [text for few in words for text in few if text.startswith("Go1 breaks even")]
     assert even == [
-        "Go1 breaks even:\n0.43 ms (0.25 to 0.62)",
-        "Go1 breaks even:\n0.74 ms (0.25 to 1.4)",
+        "Go1 breaks even, computed:\n0.43 ms (0.25 to 0.62)",
+        "Go1 breaks even, computed:\n0.74 ms (0.25 to 1.4)",
     ]
     marks = [[line.get_marker() for line in axis.lines] for axis in axes]
     # `best` for seconds; to a walk where all its seeds do
