@@ -162,7 +162,9 @@ def of_the_first_round(*args, rows, real, of_round=0, **given):
 
 
 def three_rounds(config):
-    """`schedule.columns` with three updates in each iteration."""
+    """`schedule.columns` with three updates in each iteration. SystemExit where there are tails."""
+    if schedule.uses_model(config):
+        raise SystemExit("control=thrice has tails, expected schedule.end_steps=0")
     columns = _columns(config)
     return columns | {"rounds": np.full_like(columns["iteration"], 3)}
 

@@ -63,7 +63,8 @@ AGAIN = "again-"  # so begin jobs that run a setting once more, on new seeds
 FOR_SECONDS = "-often"
 # where walks are not compared: they hang on how often and how long one is evaluated
 NO_WALKS = {"go2.rough"}
-TASK_BEFORE = (H100, H200)  # of a Go1 whose feet were not lifted, before commands were mended
+# of a Go1 whose feet were not lifted, before commands were mended; CORES too, whose PPO has two seeds
+TASK_BEFORE = (H100, H200)
 COSTS = np.geomspace(0.1, 100, 601)  # ms
 
 
@@ -112,6 +113,7 @@ def add(batch: str, folders: list[Path]) -> None:
             new += [{"batch": batch, "name": path.stem} | row for row in csv.DictReader(file)]
     again = {(row["batch"], row["name"]) for row in new}
     kept = [row for row in read() if (row["batch"], row["name"]) not in again]
+    of_rows(kept + new)  # before the file is touched
     with lzma.open(RESULTS, "wt", newline="", preset=9) as file:
         writer = csv.DictWriter(file, COLUMNS, extrasaction="ignore", lineterminator="\n")
         writer.writeheader()
@@ -298,10 +300,10 @@ def settings(found: list[Run], place: str) -> tuple[Run, list[Run]] | None:
 def fewest(found: list[Run], best: Run, ppos: list[Run]) -> Run:
     """The setting of PPO of fewest steps: of `ppos`, and of those that ran on other days alone, at the place
     of `best` and on its kind of card, with as many seeds as an interval needs, more than half of which get
-    there. Not where the task was another."""
+    there; the oftener one was evaluated, the fewer. Not where the task was another."""
     named = {ppo.method for ppo in ppos}
     some = [run for run in found if run.place == best.place and day(run)[0] == day(best)[0]]
-    some = [run for run in some if is_ppo(run) and run.method not in named]
+    some = [run for run in some if run.method.startswith("ppo") and run.method not in named]
     some = [run for run in some if len(run.level) >= OFTEN and there(run) > 0.5]
     return sparing([*ppos, *(run for run in some if run.batch not in TASK_BEFORE)])
 
@@ -475,12 +477,12 @@ def compared(found: list[Run]) -> str:
 def for_seconds(found: list[Run], quick: Run, ppos: list[Run]) -> str:
     """Where a setting of `best` for seconds and PPO break even: `ppos`, or where PPO was evaluated as often,
     that; of these those that ran on its own host with as many seeds as an interval needs, if the fastest is
-    one of them, else all; all rows at the cost of its host, or of that of the fastest."""
+    one of them, else all. All rows are at the cost of its host, or of that of the fastest."""
     often = [run for run in found if run.place == quick.place and run.method.endswith(FOR_SECONDS)]
     ppos = near(often, quick) or ppos
-    own = [run for run in found if run[:2] == quick[:2] and run.method.startswith("ppo")]
+    fast, named = fastest(ppos), {ppo.method for ppo in ppos}
+    own = [run for run in found if run[:2] == quick[:2] and run.method in named]
     own = [run for run in own if len(run.level) >= OFTEN]
-    fast = fastest(ppos)
     alike = fast.method in {run.method for run in own}
     ms = cost(found, quick if alike else fast)
     ppos = [at_cost(found, ppo, ms) for ppo in (own if alike else ppos)]

@@ -98,8 +98,14 @@ def test_three_updates_on_real_rows_are_as_if_the_policy_of_now_had_made_them(mo
     shipped, a later one has the log_prob, mean and value of other weights, and advantages by that value."""
     controls, env = script("21_less/controls"), toy_env.make()
     config, static, hyper = toy_env.settings()
-    columns, shipped = controls.three_rounds(config), schedule.columns(config)
+    shipped, estimate = schedule.columns(config), algorithm.estimate
+    for module, function, instead in controls.CONTROLS["thrice"]:
+        monkeypatch.setattr(module, function, instead)
+    columns = schedule.columns(config)  # as `program` and `seeds` call it
     assert (columns.pop("rounds") == 3).all() and columns.keys() == shipped.keys()
+    assert algorithm.estimate is controls.as_if_anew
+    with pytest.raises(SystemExit, match="control=thrice has tails, expected schedule.end_steps=0"):
+        schedule.columns(toy_env.settings(toy_env.TAIL)[0])
     assert all(np.array_equal(columns[name], shipped[name]) for name in columns)
     state = jax.jit(partial(algorithm.init, env, static=static))(hyper, jax.random.key(0))
     collect = jax.jit(partial(algorithm.collect, env, static=static))
@@ -107,7 +113,7 @@ def test_three_updates_on_real_rows_are_as_if_the_policy_of_now_had_made_them(mo
     other = jax.tree.map(lambda x: 1.1 * x, state.learner.params)
     real = jnp.ones((8, 1), bool)
     anew, estimate = (
-        jax.jit(partial(f, static, hyper, env)) for f in (controls.as_if_anew, algorithm.estimate)
+        jax.jit(partial(f, static, hyper, env)) for f in (controls.as_if_anew, estimate)
     )
     first, plain = (f(params=other, rows=rows, real=real, of_round=0) for f in (anew, estimate))
     assert_close(first, plain, 1e-6)

@@ -1,6 +1,8 @@
 """30_row_cost: how seconds are counted and computed, its jobs, and the command that runs them alone."""
 
+import csv
 import re
+import shutil
 import sys
 import types
 
@@ -39,7 +41,7 @@ def test_what_ran_next_has_enough_iterations_to_get_to_the_level():
         assert job.text.rpartition(" ")[0] == same and job.episodes == half.episodes
 
 
-def test_seconds_are_counted_to_the_level_and_until_it_walks():
+def test_seconds_are_counted_to_the_level_and_until_it_walks(tmp_path, monkeypatch):
     table = script(f"{ROW_COST}/table")
     about = {"batch": "G, day", "name": "go1.kernel.best", "job": "go1:best rollout.num_envs=512"}
     found = []
@@ -73,6 +75,19 @@ def test_seconds_are_counted_to_the_level_and_until_it_walks():
             SystemExit, match=r"go1.kernel.best\S* is twice in G, day, once as again-"
         ):
             table.of_rows(both)
+    # and is refused before the file is touched
+    monkeypatch.setattr(table, "RESULTS", tmp_path / "alone.csv.xz")
+    shutil.copy(table.Path(table.__file__).parent / "results/alone.csv.xz", tmp_path)
+    columns = [name for name in found[0] if name not in ("batch", "name")]
+    for job in ("best", "again-best"):
+        with (tmp_path / f"go1.kernel.{job}.csv").open("w", newline="") as file:
+            writer = csv.DictWriter(file, columns, extrasaction="ignore")
+            writer.writeheader()
+            writer.writerows(found)
+    was = table.RESULTS.read_bytes()
+    with pytest.raises(SystemExit, match="is twice in a host, once as again-"):
+        table.add("a host", [tmp_path])
+    assert table.RESULTS.read_bytes() == was
     low = about | {"seed": "2", "iteration": 1, "sim_steps": 1, "seconds": 1}
     (run,) = table.of_rows([*found, low | {"return": 30.0, "fall_rate": 0.0}])
     assert np.isnan(run.walks[2]).all() and table.cells(run.walks)[0] == "2 of 3"
@@ -218,17 +233,22 @@ def test_seconds_where_a_row_costs_more_and_where_two_runs_break_even():
         spare._replace(level=spare.level * [[1], [1], [np.nan], [np.nan], [np.nan], [1]]),
     ):
         assert table.fewest([*found, unfit], best, [fast, few]) is few
-    then = [x._replace(batch=table.H200) for x in (best, spare)]
-    assert table.TASK_BEFORE == (table.H100, table.H200)
-    assert table.fewest(then, then[0], [few]) is few
+    for before in (table.H100, table.H200):
+        then = [x._replace(batch=before) for x in (best, spare)]
+        assert table.fewest(then, then[0], [few]) is few
     # PPO evaluated as often as `best` for seconds stands beside that alone
     often = fast._replace(method="ppo2048-often", level=five * [1, 1, 0.5])
     assert table.beside([best, fast, few, often], best) == [fast, few]
     assert table.settings([*found, often], "go1.kernel") == (best, [fast, few])
     spare = often._replace(batch="G, day 3", level=five * [1, 0.1, 1])
-    assert table.fewest([*found, spare], best, [fast, few]) is few
+    assert table.fewest([*found, spare], best, [fast, few]) is spare  # for steps
     # its 1000 rows and 0.5 s: 1.5 + 0.1 (c - 1) = 0.5 + 1.16 (c - 1); of its cards alone
     assert "; for seconds 1.9 (" in table.compared([*first, there, often])
+    # beside plain PPO on the host of the setting for seconds: that does not count there
+    plain = beside._replace(method="ppo256", level=five * [1, 1, 0.1])
+    both = [*first, there, often, often._replace(batch=there.batch), plain]
+    assert "; for seconds 3.1 (" in table.compared(both[:-1])
+    assert "; for seconds 3.1 (" in table.compared(both)
     other_card = often._replace(batch="H, day")
     assert "; for seconds 1.5 (" in table.compared([*first, there, other_card])
     # where walks are not compared
