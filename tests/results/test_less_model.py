@@ -334,6 +334,39 @@ def test_what_the_page_says_of_as_many_updates_is_so():
     assert told in page and np.isnan(again).sum() == 3
 
 
+def test_what_the_page_says_of_three_updates_on_real_rows_is_so():
+    """The control `thrice` beside `best`, by its rule, and beside one update; what its jobs are."""
+    table, page = script("21_less/table"), " ".join((LESS / "model.md").read_text().split())
+    jobs = table.read(LESS / "results/thrice.csv.xz")
+    asked = paper.jobs(LESS / "thrice.txt")
+    assert {name: job[0]["job"] for name, job in jobs.items()} == asked
+    once, thrice = (asked[f"{name}-208-g"] for name in ("once", "thrice"))
+    assert thrice == f"{once} control=thrice"
+    same = paper.jobs(LESS / "updates.txt")["updates-208-5-g"]
+    assert once == same.replace("num_iterations=900", "num_iterations=360") + " physics.impl=c"
+    for job in jobs.values():
+        assert [run[0]["seed"] for run in table.seeds(job)] == [*range(100, 105)]
+        assert {row["device"] for row in job} == {"cpu"}
+    assert {row["commit"][:8] for row in jobs["thrice-208-g"]} == {"8caedd95"}
+    few = [table.reached(table.seeds(jobs[f"{x}-208-g"]), 38).level for x in ("thrice", "once")]
+    best = table.reached(table.seeds(less("headline")[1]["best-g"]), 38).level
+    p = stats.rank_sum(few[0], best)
+    ends = [table.seeds(jobs[f"{x}-208-g"]) for x in ("thrice", "once")]
+    (end,) = {run[-1]["sim_steps"] for some in ends for run in some}
+    back, falls = (
+        [np.mean([run[-1][what] for run in some]) for some in ends]
+        for what in ("return", "fall_rate")
+    )
+    assert np.isnan(few[0]).all() and p < 0.05 and best.max() < 0.5e6 < end
+    text = f"At {end / 1e6:.1f} M no seed of five is at the level: rank test beside the ten of `best`, "
+    assert f"{text}p {p:.1g}," in page
+    text = "The return is {:.1f} there, and {:.0f} % of the episodes have a fall; {:.1f} and {:.0f} % with "
+    told = text.format(*(x for pair in zip(back, 100 * np.array(falls), strict=True) for x in pair))
+    assert f"{told}one update" in page
+    count = int(np.isfinite(few[1]).sum())
+    assert f"{['no', 'one', 'two', 'three', 'four', 'five'][count]} of five at the level)" in page
+
+
 def test_what_the_page_says_of_the_simulators_tails_is_so():
     """The simulator's tails beside the model's from the same states."""
     page, table = " ".join((LESS / "model.md").read_text().split()), script("21_less/table")
