@@ -249,8 +249,9 @@ def _captures_long(config, robot, impl: str) -> bool:
     XLA times kernels while it compiles for a GPU. If it waits for the whole device, CUDA ends the capture of
     a graph that is under way (error 901). A kernel of ours is captured in 0.01 s, and has never met that;
     MuJoCo Warp's step takes 0.07 (experiments/03_speed). Three of six runs with it ended so, three at a time
-    on an H200 with nothing in a cache, and none of three since; that this is why is likely, not shown. An
-    environment of one's own may step MuJoCo Warp, too, which is not known here.
+    on an H200 with nothing in a cache, and none of three since (experiments/21_less/results/captures.csv.xz);
+    that this is why is likely, not shown. An environment of one's own may step MuJoCo Warp, too, which is not
+    known here.
     """
     from dynappo.physics import ground
     from dynappo.physics.warp import scope

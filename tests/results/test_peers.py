@@ -368,6 +368,29 @@ def curves(runs):
     return [([r["sim_steps"] for r in run], [r["return"] for r in run]) for run in runs]
 
 
+def test_the_page_says_how_far_crossq_came_on_an_anymal_before_it_was_cut_off():
+    """By no rule: where its rows end, and how many of `best` are at the level by then."""
+    page = " ".join((EXPERIMENTS / "24_off_policy/README.md").read_text().split())
+    with (EXPERIMENTS / "24_off_policy/results/crossq_c_cut.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert {(r["job"], r["commit"][:8], r["device"]) for r in rows} == {
+        ("crossq anymal_c:best", "2a51cc3d", "NVIDIA H200")
+    }
+    end = max(int(r["sim_steps"]) for r in rows)
+    last = [r for r in rows if int(r["sim_steps"]) == end]
+    assert [r["seed"] for r in last] == [*map(str, range(103, 108))]
+    back = [float(r["return"]) for r in last]
+    assert max(float(r["return"]) for r in rows) < 24 and {float(r["fall_rate"]) for r in last} == {
+        0
+    }
+    text = f"they have {min(back):.1f} to {max(back):.1f}, and no falls in 500 episodes."
+    assert f"cut off at {end / 1e6:.2f} of 0.61 M steps" in page and text in page
+    table, jobs = less("headline")
+    best = table.reached(table.seeds(jobs["best-c"]), 24).level
+    assert len(best) == 10 and (best <= end).sum() == 5 and "Of `best` five of ten are." in page
+    assert f"({best.mean() / 1e6:.2f} M to its level of 24)" in page
+
+
 def test_the_pages_say_how_much_the_methods_were_tuned():
     """Runs of PPO that chose its settings; settings for 64 robots, and how long they ran."""
     words = " ".join((EXPERIMENTS / "24_off_policy/README.md").read_text().split())

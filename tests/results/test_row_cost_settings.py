@@ -902,8 +902,7 @@ def test_what_the_pages_say_of_a_row_of_more_physics_steps_is_so():
         ),
         (
             "README.md",
-            "no difference is shown; at 0.98 a Go1 follows commands sooner with `best`, after 1.25 instead of"
-            " 2.11 s (p {2:.3f}, corrected for three tests)",
+            "follows commands sooner with `best`, after 1.25 instead of 2.11 s (p {2:.3f}, corrected)",
         ),
     ):
         page = " ".join((EXPERIMENTS.parent / name).read_text().split())
